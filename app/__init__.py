@@ -1,0 +1,1 @@
+"""The desktop application: joins a bench to the widgets."""

@@ -1,0 +1,1 @@
+"""Touchdown without a screen: sensor, episode, patch, belief, stability, action."""

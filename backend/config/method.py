@@ -1,0 +1,140 @@
+"""Constants of the method, each a named setting with its default and reason.
+
+[P] stands in the paper (Ota et al., arXiv 2309.14552); [U] is left open there and chosen here.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Probability = Annotated[float, Field(gt=0, lt=1)]
+
+SAMPLES_PER_PROBE = 20
+"""T = 2 s at 10 Hz [P]; ticks at 0.1, 0.2 ... 2.0 s after the onset (20, not 21) [U]."""
+
+TICK_S = 0.1
+"""Distance of the ticks, 1 / 10 Hz [P]."""
+
+
+class Settings(BaseModel):
+    """A frozen group of settings; an unknown key is an error, not a silent default."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class ProbeSettings(Settings):
+    """One press."""
+
+    depth_mm: Positive = 1.5
+    """Commanded travel after first contact [P]."""
+    duration_s: Positive = 2.0
+    """Length of a probe [P]."""
+    ramp_fraction: Probability = 0.75
+    """Linear ramp over this share of the probe, then hold [U]."""
+    stiffness_n_mm: tuple[Positive, Positive, Positive] = (30.0, 30.0, 15.0)
+    """Stiffness-control gains [P]."""
+    grip_force_n: Positive = 10.0
+    """Grasp force per finger [P]."""
+    approach_mm_s: Positive = 2.0
+    """Descent until contact [U]; limits the force at detection."""
+    threshold_n: Positive = 1.0
+    """Contact: press force over the running air baseline on 3 samples [U]."""
+    start_height_mm: Positive = 3.0
+    """Lift-off before any lateral move, and start of the next descent [U]."""
+    travel_mm_s: Positive = 20.0
+    """Speed of free moves [U]."""
+    reference_frames: Annotated[int, Field(ge=1)] = 10
+    """Still frames averaged for the tactile reference [U]."""
+    max_travel_mm: Positive = 8.0
+    """No contact on this way below the start height ends the probe [U]."""
+    verdict_wait_s: Positive = 3.0
+    """The arm holds the press at most this long for the verdict [U]."""
+
+
+class BeliefSettings(Settings):
+    """Fusion of probes in log odds."""
+
+    pitch_mm: Positive = 1.0
+    """Pitch of face lattice and belief map [U]."""
+    half_extent_mm: Positive = 32.0
+    """The square map reaches this far from the first probe [U]: face 12.7 + 7 steps of 3 mm."""
+    clip: Annotated[float, Field(gt=0, lt=0.5)] = 0.02
+    """Probabilities are limited to [clip, 1 - clip] before fusing [U]: one probe never decides."""
+    log_odds_limit: Positive = 20.0
+    """Limit of the accumulated log odds [U]."""
+    temperature: Annotated[float, Field(ge=1)] = 1.0
+    """Logits are divided by it [U]; 1 is the paper."""
+    prior_correction: bool = False
+    """Subtract the training base rate's logit [U]; off is the paper."""
+    min_shift_mm: NonNegative = 0.5
+    """A probe nearer than this to a former one replaces it: repeats are not independent [U]."""
+
+
+class StabilitySettings(Settings):
+    """Would the piece stand?"""
+
+    delta: Probability = 0.9
+    """A cell supports if its probability exceeds this [P]."""
+    margin_mm: float = 0.0
+    """Required signed distance of the centre of mass to the hull's edge; 0 is the paper [U]."""
+    judge_from: Literal["belief", "patch"] = "belief"
+    """The paper's text judges the latest patch, its table the aggregated map [U]."""
+
+
+class PolicySettings(Settings):
+    """Where to probe next."""
+
+    longest_step_mm: Positive = 3.0
+    """Longest shift [P]."""
+    hull_centre: Literal["area", "cells", "vertices"] = "area"
+    """Mean of what is the target [U]: cells inside the hull, confident cells, hull vertices."""
+    fallback: Literal["best-cells", "spiral", "stop"] = "best-cells"
+    """What to do without confident support or when stalled [U]."""
+    max_probes: Annotated[int, Field(ge=1)] = 8
+    """Give up after this many probes [U]."""
+
+
+class ReleaseSettings(Settings):
+    """Letting go, as a lab would do it."""
+
+    unload_n: Positive = 1.0
+    """Press force to unload to, within 0.3 to 2 N."""
+    settle_s: Positive = 0.2
+    """Wait after unloading before the second slip check."""
+    open_mm_s: Positive = 5.0
+    """Speed of opening."""
+    clearance_mm: Positive = 2.0
+    """Each finger clears the piece by this much before the arm rises."""
+    rise_mm: Positive = 30.0
+    """The arm rises by this much afterwards."""
+
+
+class TrainingSettings(Settings):
+    """How a model is trained; the paper names only network and loss."""
+
+    modality: Literal["FT", "Tac", "FT+Tac"] = "FT+Tac"
+    hidden: Annotated[int, Field(ge=1)] = 256
+    """Units per LSTM layer [P]."""
+    layers: Annotated[int, Field(ge=1)] = 2
+    """LSTM layers [P]."""
+    learning_rate: Positive = 1e-3
+    epochs: Annotated[int, Field(ge=1)] = 30
+    batch: Annotated[int, Field(ge=1)] = 64
+    validation_share: Probability = 0.1
+    seed: Annotated[int, Field(ge=0)] = 0
+
+
+class StackSettings(Settings):
+    """Everything the stacking loop depends on; recorded with every run."""
+
+    probe: ProbeSettings = ProbeSettings()
+    belief: BeliefSettings = BeliefSettings()
+    stability: StabilitySettings = StabilitySettings()
+    policy: PolicySettings = PolicySettings()
+    release: ReleaseSettings = ReleaseSettings()
+    strategy: Literal["paper", "pick-and-place"] = "paper"
+    mode: Literal["auto", "approve", "step"] = "auto"

@@ -1,0 +1,1 @@
+"""Words the whole bench shares: values, facts, streams, clock, faults."""

@@ -1,0 +1,179 @@
+"""What is announced while the bench works. Facts are the run log: the journal writes them, the
+window shows them, tests assert on them, replay publishes them again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from backend.core.faults import Fault
+from backend.core.flow import (
+    BeliefMap,
+    ContactPatch,
+    Episode,
+    Fall,
+    Outcome,
+    PlaceAction,
+    Stability,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Fact:
+    """Base of every fact; ``t_s`` is the bench clock."""
+
+    t_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class RunStarted(Fact):
+    """A run began; ``settings`` is a JSON text of everything it depends on."""
+
+    run_id: str
+    piece: str
+    bottom: str
+    strategy: str
+    seed: int
+    trials: int
+    simulated: bool
+    settings: str
+
+
+@dataclass(frozen=True, slots=True)
+class TrialStarted(Fact):
+    """One trial of a run began. The bench clock starts again at zero with each trial.
+
+    ``start_mm`` is the true start offset on a simulated bench (kept out of the method's sight).
+    """
+
+    trial: int
+    seed: int
+    start_mm: tuple[float, float] | None
+
+
+Phase = Literal[
+    "grip", "reference", "approach", "press", "hold", "lift", "shift", "unload", "release", "rise"
+]
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseEntered(Fact):
+    """The arm or gripper entered a named phase of probe ``probe`` (1, 2, ...)."""
+
+    phase: Phase
+    probe: int
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeRecorded(Fact):
+    """A probe became an episode; ``path`` of its file ("" if it is not kept)."""
+
+    episode: Episode
+    probe: int
+    path: str
+
+
+@dataclass(frozen=True, slots=True)
+class PatchEstimated(Fact):
+    """The model estimated the contact patch of this probe."""
+
+    patch: ContactPatch
+    offset_mm: tuple[float, float]
+    probe: int
+
+
+@dataclass(frozen=True, slots=True)
+class BeliefUpdated(Fact):
+    """The belief map after fusing this probe."""
+
+    belief: BeliefMap
+    probe: int
+
+
+@dataclass(frozen=True, slots=True)
+class StabilityJudged(Fact):
+    """The estimate whether the piece would stand here."""
+
+    stability: Stability
+    probe: int
+
+
+@dataclass(frozen=True, slots=True)
+class ActionChosen(Fact):
+    """The next action and the decision latency (last sample of the probe to action)."""
+
+    action: PlaceAction
+    probe: int
+    latency_ms: float
+
+
+@dataclass(frozen=True, slots=True)
+class ApprovalAwaited(Fact):
+    """The run waits for the operator's yes to this action; the arm is lifted."""
+
+    action: PlaceAction
+    probe: int
+
+
+@dataclass(frozen=True, slots=True)
+class Released(Fact):
+    """The gripper opened; ``fall`` is there if the piece fell on a bench that can animate it."""
+
+    probe: int
+    stands: bool
+    true_margin_mm: float | None
+    fall: Fall | None
+
+
+@dataclass(frozen=True, slots=True)
+class TrialFinished(Fact):
+    """How the trial ended. ``margin_mm``: true margin on a simulated bench, else the estimate.
+
+    ``excess_probes``: probes beyond the least number that 3 mm steps need (None if unknown).
+    """
+
+    trial: int
+    seed: int
+    outcome: Outcome
+    reason: str
+    probes: int
+    excess_probes: int | None
+    margin_mm: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class RunFinished(Fact):
+    """The run ended: finished, cancelled, stopped or failed (with the reason)."""
+
+    run_id: str
+    ending: Literal["finished", "cancelled", "stopped", "failed"]
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class FaultRaised(Fact):
+    """A fault was latched."""
+
+    fault: Fault
+
+
+@dataclass(frozen=True, slots=True)
+class FaultsReset(Fact):
+    """The operator reset the latched faults and the stop latch."""
+
+
+@dataclass(frozen=True, slots=True)
+class Progress(Fact):
+    """Long work goes on: ``done`` of ``total``, in words."""
+
+    done: int
+    total: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Said(Fact):
+    """A sentence for the operator (the narration)."""
+
+    text: str

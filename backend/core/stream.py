@@ -1,0 +1,149 @@
+"""Bounded buffers between producers and readers; newest wins, and every loss is counted."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from backend.core.faults import StaleSampleError
+from backend.core.flow import FloatArray
+
+T = TypeVar("T")
+
+
+class Stream(Generic[T]):
+    """Keeps the newest ``capacity`` items. One writer, any number of readers with own cursors."""
+
+    def __init__(self, name: str, capacity: int) -> None:
+        self.name = name
+        self._items: deque[tuple[float, T]] = deque(maxlen=capacity)
+        self._count = 0
+        self._lock = threading.Lock()
+
+    @property
+    def count(self) -> int:
+        """Number of items ever put (the cursor of the newest item)."""
+        return self._count
+
+    def put(self, t_s: float, item: T) -> None:
+        """Append ``item`` stamped ``t_s``; the oldest item is overwritten when full."""
+        with self._lock:
+            self._items.append((t_s, item))
+            self._count += 1
+
+    def newest(self) -> T | None:
+        """Return the newest item whatever its age, for display only."""
+        with self._lock:
+            return self._items[-1][1] if self._items else None
+
+    def latest(self, now_s: float, max_age_s: float) -> T:
+        """Return the newest item; raises ``StaleSampleError`` if there is none young enough."""
+        with self._lock:
+            if not self._items:
+                raise StaleSampleError(f"{self.name}: no sample yet")
+            t_s, item = self._items[-1]
+        if not now_s - t_s <= max_age_s:
+            age_ms = 1e3 * (now_s - t_s)
+            raise StaleSampleError(f"{self.name}: newest sample is {age_ms:.0f} ms old")
+        return item
+
+    def since(self, cursor: int) -> tuple[list[T], int, int]:
+        """Return (items after ``cursor``, new cursor, number lost in between)."""
+        with self._lock:
+            wanted = self._count - cursor
+            kept = min(max(wanted, 0), len(self._items))
+            first = len(self._items) - kept
+            items = [self._items[first + i][1] for i in range(kept)]
+            return items, self._count, max(wanted, 0) - kept
+
+    def between(self, start_s: float, end_s: float) -> list[T]:
+        """Return the kept items stamped ``start_s <= t <= end_s`` in order of time."""
+        return list(self._between(start_s, end_s))
+
+    def _between(self, start_s: float, end_s: float) -> Iterator[T]:
+        with self._lock:
+            items = list(self._items)
+        return (item for t_s, item in items if start_s <= t_s <= end_s)
+
+    def clear(self) -> None:
+        """Forget the items (the count goes on, so that readers notice)."""
+        with self._lock:
+            self._items.clear()
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """A run of numeric samples: ``t_s`` (n,), ``values`` (n, channels), and the reader's cursor."""
+
+    t_s: FloatArray
+    values: FloatArray
+    cursor: int
+    lost: int
+
+
+class SampleStream:
+    """A ring of numeric samples (force/torque at 1 kHz, poses): blocks in, blocks out."""
+
+    def __init__(self, name: str, channels: int, capacity: int) -> None:
+        self.name, self.channels, self.capacity = name, channels, capacity
+        self._t_s = np.zeros(capacity)
+        self._values = np.zeros((capacity, channels))
+        self._count = 0
+        self._start = 0
+        self._lock = threading.Lock()
+
+    @property
+    def count(self) -> int:
+        """Number of samples ever put."""
+        return self._count
+
+    def put(self, t_s: FloatArray, values: FloatArray) -> None:
+        """Append a block: ``t_s`` (n,) ascending, ``values`` (n, channels), n <= capacity."""
+        with self._lock:
+            index = (self._count + np.arange(len(t_s))) % self.capacity
+            self._t_s[index] = t_s
+            self._values[index] = values
+            self._count += len(t_s)
+
+    def since(self, cursor: int) -> Samples:
+        """Return a copy of the samples after ``cursor``."""
+        with self._lock:
+            oldest = max(self._start, self._count - self.capacity)
+            first = max(cursor, oldest)
+            return self._copy(first, lost=first - min(cursor, first))
+
+    def window(self, start_s: float, end_s: float) -> Samples:
+        """Return a copy of the kept samples stamped ``start_s <= t <= end_s``."""
+        with self._lock:
+            all_kept = self._copy(max(self._start, self._count - self.capacity), lost=0)
+        lo = int(np.searchsorted(all_kept.t_s, start_s, side="left"))
+        hi = int(np.searchsorted(all_kept.t_s, end_s, side="right"))
+        return Samples(all_kept.t_s[lo:hi], all_kept.values[lo:hi], all_kept.cursor, 0)
+
+    def latest(self, now_s: float, max_age_s: float) -> tuple[float, FloatArray]:
+        """Return (t_s, values) of the newest sample; raises ``StaleSampleError`` if too old or NaN."""
+        with self._lock:
+            if self._count == self._start:
+                raise StaleSampleError(f"{self.name}: no sample yet")
+            i = (self._count - 1) % self.capacity
+            t_s, values = float(self._t_s[i]), self._values[i].copy()
+        if not now_s - t_s <= max_age_s:
+            age_ms = 1e3 * (now_s - t_s)
+            raise StaleSampleError(f"{self.name}: newest sample is {age_ms:.0f} ms old")
+        if not np.isfinite(values).all():
+            raise StaleSampleError(f"{self.name}: newest sample is not a finite number")
+        return t_s, values
+
+    def clear(self) -> None:
+        """Forget the samples (the count goes on, so that readers notice)."""
+        with self._lock:
+            self._start = self._count
+
+    def _copy(self, first: int, *, lost: int) -> Samples:
+        index = np.arange(first, self._count) % self.capacity
+        return Samples(self._t_s[index].copy(), self._values[index].copy(), self._count, lost)

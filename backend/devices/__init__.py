@@ -1,0 +1,1 @@
+"""What the bench needs from hardware, and who provides it."""

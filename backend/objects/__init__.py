@@ -1,0 +1,1 @@
+"""Known geometry: pieces, faces, towers and the exact static judge."""

@@ -1,0 +1,1 @@
+"""The method: patch, belief, stability, action as pure functions of values."""

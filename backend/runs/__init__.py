@@ -1,0 +1,1 @@
+"""What the operator starts: plans, the engine that drives them, the journal."""

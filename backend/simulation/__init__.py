@@ -1,0 +1,1 @@
+"""Physics of the simulated bench: functions of state, no thread, no wall clock."""

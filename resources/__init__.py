@@ -1,0 +1,1 @@
+"""Data files that ship with Touchdown: pieces, benches, icons, trained models."""

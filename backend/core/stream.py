@@ -126,7 +126,7 @@ class SampleStream:
         return Samples(all_kept.t_s[lo:hi], all_kept.values[lo:hi], all_kept.cursor, 0)
 
     def latest(self, now_s: float, max_age_s: float) -> tuple[float, FloatArray]:
-        """Return (t_s, values) of the newest sample; raises ``StaleSampleError`` if too old or NaN."""
+        """Return (t_s, values) of the newest sample; raises ``StaleSampleError``."""
         with self._lock:
             if self._count == self._start:
                 raise StaleSampleError(f"{self.name}: no sample yet")

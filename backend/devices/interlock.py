@@ -1,0 +1,208 @@
+"""Guards the arm and the gripper: stop latch, motion lease, limits, and the release conditions.
+
+Plans and windows hold the guarded devices only. ``stop`` works from any thread in every state,
+joins nothing and never opens the gripper. Motion needs a live lease: whoever moves the bench renews
+it, and silence ends motion. Each refusal has a name (``RefusedError.reason``).
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+from backend.core.faults import Fault, RefusedError
+
+LEASE_S = 0.25
+"""A lease not renewed for this long ends motion (reliability: jog and run leases)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Limits of motion and force; lengths in mm in the bench frame, forces in N."""
+
+    reach_mm: float = 150.0
+    lowest_mm: float = 0.0
+    highest_mm: float = 400.0
+    speed_mm_s: float = 50.0
+    contact_speed_mm_s: float = 2.0
+    contact_n: float = 1.0
+    press_n: float = 25.0
+    trip_n: float = 40.0
+    trip_at_once_n: float = 60.0
+    trip_nm: float = 1.5
+    probe_n: float = 30.0
+    wrench_age_s: float = 0.3
+    frame_age_s: float = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class ReleaseEvidence:
+    """Everything that must hold before the jaws may open on a run's request.
+
+    ``press_n`` and its age are read after unloading; ``moved_mm`` is the largest travel of the arm
+    in the last 200 ms; ``width_change_mm`` against the grasp; ``approved`` is True where no
+    approval is asked for.
+    """
+
+    verdict_stable: bool
+    verdict_of_last_probe: bool
+    verdict_age_s: float
+    margin_mm: float
+    required_margin_mm: float
+    quality_accepted: bool
+    slip_mm: float
+    press_n: float
+    wrench_age_s: float
+    wrench_age_limit_s: float
+    moved_mm: float
+    width_change_mm: float
+    holding: bool
+    approved: bool
+
+
+MAX_VERDICT_AGE_S = 5.0
+UNLOADED_N = (0.3, 2.0)
+MAX_RELEASE_SLIP_MM = 0.3
+STATIONARY_MM = 0.05
+MAX_WIDTH_CHANGE_MM = 0.3
+
+
+VERDICT_ROWS = frozenset(
+    {"VERDICT-NOT-STABLE", "VERDICT-NOT-LAST", "VERDICT-OLD", "MARGIN", "QUALITY"}
+)
+"""Rows that need an estimate; only these are waived for the untested-release baseline."""
+
+
+def release_refusal(evidence: ReleaseEvidence, *, untested: bool = False) -> tuple[str, str] | None:
+    """Return None if the piece may be released, else (name, sentence) of the first refusal.
+
+    Every row is a positive comparison, so that NaN refuses (rulings 5, reliability section 5).
+    ``untested`` waives the rows about the estimate: the pick-and-place baseline has none.
+    """
+    e = evidence
+    rows = (
+        ("VERDICT-NOT-STABLE", e.verdict_stable, "The verdict of this probe is not 'stable'."),
+        ("VERDICT-NOT-LAST", e.verdict_of_last_probe, "The verdict is not of the last probe."),
+        ("VERDICT-OLD", 0 <= e.verdict_age_s <= MAX_VERDICT_AGE_S, "The verdict is too old."),
+        (
+            "MARGIN",
+            e.margin_mm >= e.required_margin_mm and math.isfinite(e.margin_mm),
+            f"The margin {e.margin_mm:.2f} mm is below {e.required_margin_mm:.2f} mm.",
+        ),
+        ("QUALITY", e.quality_accepted, "The episode was not accepted."),
+        (
+            "SLIP",
+            0 <= e.slip_mm <= MAX_RELEASE_SLIP_MM,
+            f"The piece slipped by {e.slip_mm:.2f} mm in the grasp.",
+        ),
+        ("WRENCH-OLD", 0 <= e.wrench_age_s <= e.wrench_age_limit_s, "The wrench is too old."),
+        (
+            "NOT-UNLOADED",
+            UNLOADED_N[0] <= e.press_n <= UNLOADED_N[1],
+            f"{e.press_n:.2f} N press force: not {UNLOADED_N[0]} to {UNLOADED_N[1]} N.",
+        ),
+        ("ARM-MOVING", 0 <= e.moved_mm <= STATIONARY_MM, "The arm is not standing still."),
+        (
+            "WIDTH",
+            abs(e.width_change_mm) <= MAX_WIDTH_CHANGE_MM,
+            f"The grip width changed by {e.width_change_mm:.2f} mm.",
+        ),
+        ("NOT-HOLDING", e.holding, "The gripper does not hold a piece."),
+        ("NOT-APPROVED", e.approved, "The operator has not approved this release."),
+    )
+    for name, holds, sentence in rows:
+        if not holds and not (untested and name in VERDICT_ROWS):
+            return name, sentence
+    return None
+
+
+class Interlock:
+    """The latch, the lease and the list of latched faults. Thread-safe."""
+
+    def __init__(self, limits: Limits | None = None) -> None:
+        self.limits = limits or Limits()
+        for item in fields(self.limits):
+            if not math.isfinite(getattr(self.limits, item.name)):
+                raise ValueError(f"limit {item.name} is not finite")
+        self._lock = threading.RLock()
+        self._stopped_by = ""
+        self._faults: tuple[Fault, ...] = ()
+        self._lease_until_s = -math.inf
+        self._stoppers: list[Callable[[], None]] = []
+        self.untested_release = False
+        """True only on a simulated bench while the pick-and-place baseline runs."""
+
+    @property
+    def latched(self) -> bool:
+        """True after ``stop`` or a fault, until ``reset``."""
+        return bool(self._stopped_by) or bool(self._faults)
+
+    @property
+    def stopped_by(self) -> str:
+        """Who stopped ("" if not stopped)."""
+        return self._stopped_by
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """Latched faults, oldest first."""
+        return self._faults
+
+    def on_stop(self, stopper: Callable[[], None]) -> None:
+        """Call ``stopper`` (which must return at once) at every stop."""
+        with self._lock:
+            self._stoppers.append(stopper)
+
+    def forget_stoppers(self) -> None:
+        """Drop the stoppers of devices that no longer exist."""
+        with self._lock:
+            self._stoppers.clear()
+
+    def stop(self, who: str = "operator") -> None:
+        """Latch, and stop arm and gripper beside their queues."""
+        with self._lock:
+            self._stopped_by = self._stopped_by or who
+            stoppers = tuple(self._stoppers)
+        for stopper in stoppers:
+            stopper()
+
+    def raise_fault(self, fault: Fault) -> None:
+        """Latch ``fault`` (once per code and device) and stop."""
+        with self._lock:
+            known = {(f.code, f.device) for f in self._faults}
+            if (fault.code, fault.device) not in known:
+                self._faults = (*self._faults, fault)
+            stoppers = tuple(self._stoppers)
+        for stopper in stoppers:
+            stopper()
+
+    def reset(self) -> None:
+        """Clear the latch and the faults; only the operator calls this. Moves nothing."""
+        with self._lock:
+            self._stopped_by = ""
+            self._faults = ()
+            self._lease_until_s = -math.inf
+
+    def renew_lease(self, now_s: float) -> None:
+        """Keep the permission to move for ``LEASE_S`` from now."""
+        with self._lock:
+            self._lease_until_s = now_s + LEASE_S
+
+    def drop_lease(self) -> None:
+        """Give the permission to move back."""
+        with self._lock:
+            self._lease_until_s = -math.inf
+
+    def has_lease(self, now_s: float) -> bool:
+        """Whether motion is permitted now."""
+        return now_s <= self._lease_until_s
+
+    def require_motion(self, now_s: float) -> None:
+        """Raise ``RefusedError`` unless motion may start now."""
+        if self._stopped_by:
+            raise RefusedError("STOPPED", f"Stopped by {self._stopped_by}: press Reset first.")
+        if self._faults:
+            raise RefusedError("FAULT", f"{self._faults[0].what} Press Reset first.")
+        if not self.has_lease(now_s):
+            raise RefusedError("NO-LEASE", "Nobody holds a live motion lease.")

@@ -1,0 +1,75 @@
+"""The record of everything a plan works with: guarded devices, sensing, model, store."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from backend.config.method import StackSettings
+from backend.core.flow import ContactPatch, Episode, Fall
+from backend.devices.guarded import GuardedArm, GuardedGripper
+from backend.devices.interlock import Interlock
+from backend.objects.catalogue import Piece
+from backend.runs.gate import Gate
+from backend.sensing.live import LiveSensing
+
+
+class Estimate(Protocol):
+    """What the method needs of a trained model."""
+
+    def estimate(self, episode: Episode) -> ContactPatch:
+        """Return the contact patch of one episode."""
+
+
+class EpisodeStore(Protocol):
+    """Where episodes go; ``keep`` returns at once, ``settle`` when the file is durable."""
+
+    def keep(self, episode: Episode) -> None:
+        """Begin to write ``episode``."""
+
+    def settle(self) -> Path | None:
+        """Wait for the last write; return the path of its file, None if files are not kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReleaseVerdict:
+    """What a bench with known truth says after the jaws opened."""
+
+    stands: bool
+    knocked_over: bool
+    margin_mm: float
+    fall: Fall | None
+
+
+class Scoring(Protocol):
+    """The truth of a simulated bench, for scoring only: the method never sees it."""
+
+    def start_mm(self) -> tuple[float, float]:
+        """Return the true offset at the start of the trial."""
+
+    def least_probes(self) -> int:
+        """Return the least number of probes that any policy would need."""
+
+    def verdict(self) -> ReleaseVerdict:
+        """Judge the scene as it is now."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """One trial's bench. ``now_s`` is its clock; ``scoring`` is None where truth is unknown."""
+
+    now_s: Callable[[], float]
+    arm: GuardedArm
+    gripper: GuardedGripper
+    interlock: Interlock
+    sensing: LiveSensing
+    estimator: Estimate
+    piece: Piece
+    bottom: str
+    store: EpisodeStore
+    gate: Gate
+    settings: StackSettings
+    scoring: Scoring | None
+    wall_s: Callable[[], float]

@@ -1,0 +1,251 @@
+"""Drives one plan at a time: publishes its facts, waits for it, pauses, cancels, stops.
+
+    idle -> preparing -> running <-> pausing -> paused -> running
+                         running | pausing | paused -> cancelling -> finishing -> idle
+
+STOP is out of band: it latches the interlock first and ends the run from any state.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+
+from backend.core.clock import Clock
+from backend.core.facts import (
+    ActionChosen,
+    ApprovalAwaited,
+    Fact,
+    FaultRaised,
+    PhaseEntered,
+    RunFinished,
+    RunStarted,
+    Said,
+    TrialStarted,
+)
+from backend.core.faults import Fault, FaultError, InputError, RefusedError, TouchdownError
+from backend.core.hub import Hub
+from backend.devices.interlock import Interlock
+from backend.runs.plan import (
+    CancelledError,
+    Checkpoint,
+    Plan,
+    StoppedError,
+    Waiting,
+    timeout_fault,
+)
+from backend.runs.requests import RunState, RunStatus
+
+_ACTIVE = {RunState.RUNNING, RunState.PAUSING, RunState.PAUSED, RunState.PREPARING}
+
+
+class Engine:
+    """Runs plans. ``tick`` is called by whoever owns the bench's time (a thread or a loop)."""
+
+    def __init__(self, hub: Hub, interlock: Interlock, clock: Callable[[], Clock]) -> None:
+        self._hub, self._interlock, self._clock = hub, interlock, clock
+        self._lock = threading.RLock()
+        self._status = RunStatus(RunState.IDLE)
+        self._plan: Plan[object] | None = None
+        self._waiting: Waiting | None = None
+        self._deadline_s = 0.0
+        self._throw: TouchdownError | None = None
+        self._result: object | None = None
+        self._error: Exception | None = None
+        self._idle = threading.Event()
+        self._idle.set()
+
+    # -- what the operator may ask, from any thread ---------------------------------------------
+
+    def status(self) -> RunStatus:
+        """Return a frozen snapshot."""
+        with self._lock:
+            return self._status
+
+    @property
+    def busy(self) -> bool:
+        """Whether a plan is being driven."""
+        return self._plan is not None
+
+    def begin(self, plan: Plan[object]) -> None:
+        """Take ``plan``; it starts with the next tick. ``RefusedError`` if one is running."""
+        with self._lock:
+            if self._plan is not None:
+                raise RefusedError("BUSY", "A run is going on: cancel it first.")
+            if self._interlock.latched:
+                raise RefusedError("LATCHED", "The bench is stopped: press Reset first.")
+            self._plan, self._waiting, self._throw = plan, None, None
+            self._result, self._error = None, None
+            self._status = RunStatus(RunState.PREPARING, text="Preparing")
+            self._idle.clear()
+
+    def pause(self) -> None:
+        """Pause at the next safe place (arm lifted)."""
+        self._change({RunState.RUNNING}, RunState.PAUSING)
+
+    def resume(self) -> None:
+        """Go on after a pause."""
+        self._change({RunState.PAUSING, RunState.PAUSED}, RunState.RUNNING)
+
+    def cancel(self) -> None:
+        """End in an orderly way: lift, keep the piece."""
+        with self._lock:
+            if self._status.state in _ACTIVE:
+                self._throw = CancelledError("cancelled by the operator")
+                self._status = replace(self._status, state=RunState.CANCELLING)
+
+    def wait_idle(self, timeout_s: float) -> bool:
+        """Block until no plan is driven; for scripts, never for a window."""
+        return self._idle.wait(timeout_s)
+
+    # -- the bench's time -----------------------------------------------------------------------
+
+    def tick(self) -> None:
+        """Drive the plan until it waits; call once per advance of the bench."""
+        with self._lock:
+            plan = self._plan
+            if plan is None:
+                return
+            if self._interlock.latched and not isinstance(self._throw, StoppedError):
+                self._throw = StoppedError(self._why_stopped())
+        self._interlock.renew_lease(self._clock().now_s())
+        for _ in range(10_000):
+            if not self._may_go_on():
+                return
+            if not self._advance(plan):
+                return
+
+    def run(self, plan: Plan[object], advance: Callable[[], None]) -> object:
+        """Drive ``plan`` to its end on this thread; ``advance`` moves the bench by one step.
+
+        Returns the plan's value; raises what ended it if that was an error.
+        """
+        self.begin(plan)
+        while self.busy:
+            self.tick()
+            if self.busy:
+                advance()
+        if self._error is not None:
+            raise self._error
+        return self._result
+
+    # -- inside ---------------------------------------------------------------------------------
+
+    def _may_go_on(self) -> bool:
+        with self._lock:
+            if self._throw is not None:
+                return True
+            if self._status.state is RunState.PAUSED:
+                return False
+            waiting = self._waiting
+        if waiting is None:
+            return True
+        if waiting.until():
+            self._waiting = None
+            return True
+        if self._clock().now_s() > self._deadline_s:
+            self._throw, self._waiting = timeout_fault(waiting), None
+            return True
+        return False
+
+    def _advance(self, plan: Plan[object]) -> bool:
+        """Send or throw once; return False if the plan ended or paused."""
+        with self._lock:
+            throw, self._throw = self._throw, None
+        try:
+            if throw is None:
+                step = plan.send(None)
+            else:
+                self._waiting = None
+                step = plan.throw(throw)
+        except StopIteration as end:
+            self._finish(end.value)
+            return False
+        except (TouchdownError, ArithmeticError, ValueError, LookupError, OSError) as error:
+            self._fail(error)
+            return False
+        if isinstance(step, Fact):
+            self._publish(step)
+        elif isinstance(step, Waiting):
+            self._waiting = step
+            self._deadline_s = self._clock().now_s() + step.timeout_s
+        elif isinstance(step, Checkpoint):
+            return self._checkpoint()
+        return True
+
+    def _checkpoint(self) -> bool:
+        with self._lock:
+            if self._status.state is RunState.PAUSING:
+                self._status = replace(self._status, state=RunState.PAUSED, text="Paused")
+                return False
+        return True
+
+    def _publish(self, fact: Fact) -> None:
+        with self._lock:
+            self._status = _followed(self._status, fact)
+        self._hub.publish(fact)
+
+    def _change(self, allowed: set[RunState], state: RunState) -> None:
+        with self._lock:
+            if self._status.state in allowed:
+                self._status = replace(self._status, state=state)
+
+    def _finish(self, result: object) -> None:
+        with self._lock:
+            self._plan, self._waiting, self._result = None, None, result
+            self._status = replace(self._status, state=RunState.IDLE, phase="", awaiting=None)
+            self._interlock.drop_lease()
+        self._idle.set()
+
+    def _fail(self, error: Exception) -> None:
+        """End after an escaped error; a failed clean-up cannot prevent ``RunFinished``."""
+        now_s = self._clock().now_s()
+        fault = error.fault if isinstance(error, FaultError) else _fault_of(error)
+        stopped = isinstance(error, StoppedError)
+        run_id = self._status.run_id
+        self._finish(None)
+        self._error = error
+        if not stopped:
+            if not isinstance(error, InputError):
+                self._interlock.raise_fault(fault)
+            self._hub.publish(FaultRaised(now_s, fault))
+        self._hub.publish(
+            RunFinished(now_s, run_id, "stopped" if stopped else "failed", str(error))
+        )
+
+    def _why_stopped(self) -> str:
+        faults = self._interlock.faults
+        if faults:
+            return f"{faults[0].what} [{faults[0].code}]"
+        return f"stopped by {self._interlock.stopped_by}"
+
+
+def _followed(status: RunStatus, fact: Fact) -> RunStatus:
+    """Return the status after ``fact``."""
+    if isinstance(fact, RunStarted):
+        return replace(
+            status, state=RunState.RUNNING, run_id=fact.run_id, trials=fact.trials, text="Running"
+        )
+    if isinstance(fact, TrialStarted):
+        return replace(status, trial=fact.trial, probe=0, phase="", awaiting=None)
+    if isinstance(fact, PhaseEntered):
+        return replace(status, phase=fact.phase, probe=fact.probe, awaiting=None)
+    if isinstance(fact, ActionChosen):
+        return replace(status, text=fact.action.reason)
+    if isinstance(fact, ApprovalAwaited):
+        return replace(status, awaiting=fact.action)
+    if isinstance(fact, Said):
+        return replace(status, text=fact.text)
+    return status
+
+
+def _fault_of(error: Exception) -> Fault:
+    if isinstance(error, InputError):
+        return Fault("INPUT", error.what, f"In {error.where}. Nothing was moved.", error.fix)
+    return Fault(
+        code=error.reason if isinstance(error, RefusedError) else type(error).__name__.upper(),
+        what=str(error) or type(error).__name__,
+        consequence="The run ended; the piece is still held.",
+        next_step="Read the message, remove the cause, then press Reset.",
+    )

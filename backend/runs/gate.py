@@ -1,0 +1,35 @@
+"""Where a run waits for the operator: approve each action, or one step at a time."""
+
+from __future__ import annotations
+
+import threading
+
+
+class Gate:
+    """Holds one answer. The plan asks and looks; the operator answers from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._asked = False
+        self._answer: bool | None = None
+
+    def ask(self) -> None:
+        """Forget an old answer and wait for a new one."""
+        with self._lock:
+            self._asked, self._answer = True, None
+
+    def answer(self, yes: bool) -> None:
+        """Answer the open question; without one this does nothing."""
+        with self._lock:
+            if self._asked:
+                self._asked, self._answer = False, yes
+
+    @property
+    def answered(self) -> bool:
+        """Whether the last question has an answer."""
+        return self._answer is not None
+
+    @property
+    def yes(self) -> bool:
+        """Whether the answer was yes."""
+        return self._answer is True

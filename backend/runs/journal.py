@@ -1,0 +1,86 @@
+"""The append-only record of a run's facts: one JSON line each, durable before the next one."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+from backend.core.facts import Fact
+from backend.core.faults import InputError
+from backend.core.files import sync_folder
+from backend.runs.fact_codec import FORMAT, decode, encode
+
+NAME = "journal.jsonl"
+MAX_LINE_BYTES = 8_000_000
+
+
+class Journal:
+    """Subscribes to a hub and appends every fact to ``folder/journal.jsonl``."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=False)
+        self.folder = folder
+        self._file: IO[bytes] = (folder / NAME).open("xb")
+        self._append({"format": FORMAT, "program": "touchdown"})
+        sync_folder(folder)
+        sync_folder(folder.parent)
+
+    def __call__(self, fact: Fact) -> None:
+        """Append ``fact``."""
+        if not self._file.closed:
+            self._append(encode(fact))
+
+    def close(self) -> None:
+        """Close the file; closing twice is allowed."""
+        self._file.close()
+
+    def _append(self, line: dict[str, object]) -> None:
+        self._file.write(json.dumps(line, separators=(",", ":")).encode() + b"\n")
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+
+def journal_path(run: Path) -> Path:
+    """Return the journal of a run folder (or the file itself); raises ``InputError``."""
+    path = run / NAME if run.is_dir() else run
+    if not path.is_file():
+        raise InputError("There is no run journal.", str(run), "Name the folder of a run.")
+    return path
+
+
+def read_journal(run: Path) -> Iterator[Fact]:
+    """Yield the facts of a run in order.
+
+    A torn last line (the program was killed while writing it) ends the journal quietly: it was
+    never acknowledged. Any other damage raises ``InputError`` naming file and line.
+    """
+    path = journal_path(run)
+    with path.open("rb") as file:
+        for number, raw in enumerate(file, start=1):
+            if not raw.endswith(b"\n"):
+                return
+            where = f"{path}, line {number}"
+            if len(raw) > MAX_LINE_BYTES:
+                raise InputError("A line is too long.", where, "The journal is damaged.")
+            try:
+                line = json.loads(raw)
+            except ValueError as error:
+                raise InputError(
+                    "A line is not valid JSON.", where, "Replay the lines before it."
+                ) from error
+            if number == 1:
+                _check_head(line, where)
+            else:
+                yield decode(line, where)
+
+
+def _check_head(line: object, where: str) -> None:
+    if not isinstance(line, dict) or line.get("program") != "touchdown":
+        raise InputError("This is not a Touchdown journal.", where, "Name the folder of a run.")
+    if line.get("format") != FORMAT:
+        raise InputError(
+            f"Journal format {line.get('format')} is not known.", where, "Use a newer Touchdown."
+        )

@@ -1,0 +1,26 @@
+"""What one probe left behind, and what the method concluded from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from backend.core.flow import Episode, PlaceAction, Stability
+
+
+@dataclass(frozen=True, slots=True)
+class Felt:
+    """A probe as felt: the episode, and the bench time of its last sample."""
+
+    episode: Episode
+    probe: int
+    last_sample_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A felt probe with the conclusion, reached at bench time ``at_s`` while still pressed."""
+
+    felt: Felt
+    stability: Stability
+    action: PlaceAction
+    at_s: float

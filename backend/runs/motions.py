@@ -1,0 +1,131 @@
+"""The moves a run is made of. Each is a plan: it yields facts and waits, and never sleeps."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from backend.core.facts import PhaseEntered
+from backend.core.faults import RefusedError
+from backend.core.flow import Pose
+from backend.devices.interlock import ReleaseEvidence
+from backend.runs.bench import Bench
+from backend.runs.judged import Judged
+from backend.runs.plan import Plan, Waiting, motion_done
+from backend.sensing.loading import slip_since_loading
+
+SETTLE_S = 0.3
+"""Vibration of the arm dies out before reference and tare are taken."""
+GRIP_S = 5.0
+MOVE_S = 30.0
+WRENCH_AGE_LIMIT_S = 0.015
+"""At release the wrench is at most 1.5 control cycles of 10 ms old (rulings 10)."""
+
+
+def rest(bench: Bench, seconds: float) -> Plan[None]:
+    """Let ``seconds`` of bench time pass."""
+    until_s = bench.now_s() + seconds
+    yield Waiting(lambda: bench.now_s() >= until_s, seconds + 1.0, "a pause to end")
+
+
+def take_piece(bench: Bench) -> Plan[None]:
+    """Close the gripper on the piece and let it settle."""
+    yield PhaseEntered(bench.now_s(), "grip", 0)
+    grip = bench.gripper.grip(bench.settings.probe.grip_force_n)
+    yield from motion_done(grip, GRIP_S, "the gripper to hold the piece")
+    yield from rest(bench, SETTLE_S)
+    if not bench.gripper.status().holding:
+        raise RefusedError("NO-PIECE", "The gripper closed without a piece.")
+
+
+def zero_sensors(bench: Bench, probe: int) -> Plan[None]:
+    """In air, at rest: take the tare and both tactile references."""
+    yield PhaseEntered(bench.now_s(), "reference", probe)
+    count = bench.settings.probe.reference_frames
+    yield from rest(bench, SETTLE_S + count / 25.0)
+    bench.sensing.zero_wrench(bench.now_s())
+    bench.sensing.take_references(count)
+
+
+def lift(bench: Bench, probe: int) -> Plan[None]:
+    """Rise straight by the start height."""
+    yield PhaseEntered(bench.now_s(), "lift", probe)
+    here = bench.arm.pose(max_age_s=0.2)
+    up = Pose(here.x_mm, here.y_mm, here.z_mm + bench.settings.probe.start_height_mm)
+    motion = bench.arm.move_to(up, bench.settings.probe.travel_mm_s)
+    yield from motion_done(motion, MOVE_S, "the arm to lift")
+
+
+def shift(bench: Bench, step_mm: tuple[float, float], probe: int) -> Plan[None]:
+    """Move sideways by ``step_mm``; the arm has been lifted before."""
+    yield PhaseEntered(bench.now_s(), "shift", probe)
+    here = bench.arm.pose(max_age_s=0.2)
+    there = Pose(here.x_mm + step_mm[0], here.y_mm + step_mm[1], here.z_mm)
+    motion = bench.arm.move_to(there, bench.settings.probe.travel_mm_s)
+    yield from motion_done(motion, MOVE_S, "the arm to shift")
+
+
+def release(bench: Bench, judged: Judged, *, approved: bool) -> Plan[None]:
+    """Unload, settle, check slip again, open slowly, rise (rulings 5).
+
+    Raises ``RefusedError`` if the interlock finds a release condition that does not hold.
+    """
+    settings = bench.settings.release
+    probe = judged.felt.probe
+    yield PhaseEntered(bench.now_s(), "unload", probe)
+    width_mm = bench.gripper.status().width_mm
+    unload = bench.arm.unload(settings.unload_n, bench.settings.probe.approach_mm_s)
+    yield from motion_done(unload, MOVE_S, "the arm to unload")
+    yield from rest(bench, settings.settle_s)
+    yield PhaseEntered(bench.now_s(), "release", probe)
+    evidence = release_evidence(bench, judged, width_mm, approved=approved)
+    yield from open_and_rise(bench, probe, evidence, width_mm)
+
+
+def open_and_rise(
+    bench: Bench, probe: int, evidence: ReleaseEvidence, width_mm: float
+) -> Plan[None]:
+    """Open slowly until both fingers are clear, then rise."""
+    settings = bench.settings.release
+    open_mm = width_mm + 2.0 * settings.clearance_mm
+    opening = bench.gripper.release(evidence, open_mm, settings.open_mm_s)
+    yield from motion_done(opening, MOVE_S, "the gripper to open")
+    yield from rest(bench, 0.5)
+    yield PhaseEntered(bench.now_s(), "rise", probe)
+    here = bench.arm.pose(max_age_s=0.2)
+    up = Pose(here.x_mm, here.y_mm, here.z_mm + settings.rise_mm)
+    motion = bench.arm.move_to(up, bench.settings.probe.travel_mm_s)
+    yield from motion_done(motion, MOVE_S, "the arm to rise")
+
+
+def release_evidence(
+    bench: Bench, judged: Judged, width_mm: float, *, approved: bool
+) -> ReleaseEvidence:
+    """Read the bench's own sensors again and gather the release conditions."""
+    now_s = bench.now_s()
+    status = bench.gripper.status()
+    window = bench.sensing.wrench.window(now_s - 0.1, now_s)
+    sampled = len(window.t_s) > 0
+    press_n = float(np.mean(window.values[:, 2])) if sampled else math.nan
+    poses = bench.arm.poses.window(now_s - 0.2, now_s).values
+    recording, onset_s = judged.felt.episode.recording, judged.felt.episode.onset_s
+    slip_mm = math.nan
+    if recording is not None and len(poses):
+        slip_mm = slip_since_loading(recording, onset_s, float(poses[-1, 2]), press_n)
+    return ReleaseEvidence(
+        verdict_stable=judged.stability.stable,
+        verdict_of_last_probe=bench.sensing.tare_s < judged.at_s,
+        verdict_age_s=now_s - judged.at_s,
+        margin_mm=judged.stability.margin_mm,
+        required_margin_mm=bench.settings.stability.margin_mm,
+        quality_accepted=judged.felt.episode.quality.accepted,
+        slip_mm=slip_mm,
+        press_n=press_n,
+        wrench_age_s=now_s - float(window.t_s[-1]) if sampled else math.nan,
+        wrench_age_limit_s=WRENCH_AGE_LIMIT_S,
+        moved_mm=float(np.ptp(poses, axis=0).max()) if len(poses) else math.nan,
+        width_change_mm=status.width_mm - width_mm,
+        holding=status.holding,
+        approved=approved,
+    )

@@ -1,0 +1,94 @@
+"""One probe: zero the sensors, press, and assemble what was felt into an episode."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backend.config.method import SAMPLES_PER_PROBE, TICK_S
+from backend.core.facts import PhaseEntered, Said
+from backend.core.faults import Fault, FaultError
+from backend.devices.protocols import PressCommand
+from backend.runs.bench import Bench
+from backend.runs.judged import Felt
+from backend.runs.motions import lift, zero_sensors
+from backend.runs.plan import Plan, Waiting
+from backend.sensing.episode import assemble
+
+BEFORE_ONSET_S = 0.3
+AFTER_LAST_TICK_S = 0.08
+"""The frame after the last tick must have arrived (25 Hz plus jitter)."""
+
+
+def press_command(bench: Bench) -> PressCommand:
+    """Return the press of the method's settings."""
+    probe = bench.settings.probe
+    return PressCommand(
+        depth_mm=probe.depth_mm,
+        ramp_s=probe.ramp_fraction * probe.duration_s,
+        hold_s=probe.duration_s,
+        approach_mm_s=probe.approach_mm_s,
+        threshold_n=probe.threshold_n,
+        max_travel_mm=probe.start_height_mm + probe.max_travel_mm,
+        stiffness_n_mm=probe.stiffness_n_mm,
+    )
+
+
+def press_once(bench: Bench, probe: int) -> Plan[Felt]:
+    """Press and stay pressed; return what was felt, accepted or not."""
+    yield from zero_sensors(bench, probe)
+    yield PhaseEntered(bench.now_s(), "approach", probe)
+    here = bench.arm.pose(max_age_s=0.2)
+    motion = bench.arm.press(press_command(bench))
+    limit_s = 60.0
+    yield Waiting(lambda: motion.done or motion.onset_s is not None, limit_s, "contact")
+    if motion.onset_s is not None:
+        yield PhaseEntered(bench.now_s(), "press", probe)
+    yield Waiting(lambda: motion.done, limit_s, "the press to end")
+    motion.result()
+    onset_s = motion.onset_s
+    if onset_s is None:
+        raise FaultError(
+            Fault(
+                "NO-CONTACT",
+                "The press ended without a contact.",
+                "The probe is void; the piece is still held.",
+                "Check the height of the support.",
+                "arm",
+            )
+        )
+    yield PhaseEntered(bench.now_s(), "hold", probe)
+    end_s = onset_s + SAMPLES_PER_PROBE * TICK_S + AFTER_LAST_TICK_S
+    yield Waiting(lambda: bench.now_s() >= end_s, 5.0, "the last frames")
+    episode = assemble(
+        bench.sensing.recording(onset_s - BEFORE_ONSET_S, end_s),
+        onset_s=onset_s,
+        offset_mm=np.array([here.x_mm, here.y_mm]),
+        piece=bench.piece.name,
+    )
+    return Felt(episode, probe, end_s)
+
+
+def probe_until_accepted(bench: Bench, probe: int, tries: int = 2) -> Plan[Felt]:
+    """Probe; a rejected episode is no observation: lift and press again, at most ``tries`` times.
+
+    Rejected episodes are kept in the store as well, with their reasons.
+    """
+    for attempt in range(tries):
+        felt = yield from press_once(bench, probe)
+        if felt.episode.quality.accepted:
+            return felt
+        reasons = "; ".join(felt.episode.quality.reasons)
+        yield Said(bench.now_s(), f"Probe {probe} is not an observation: {reasons}.")
+        bench.store.keep(felt.episode)
+        yield from lift(bench, probe)
+        bench.store.settle()
+        if attempt + 1 == tries:
+            raise FaultError(
+                Fault(
+                    "PROBE-REJECTED",
+                    f"Probe {probe} was rejected {tries} times: {reasons}.",
+                    "The run ended; the piece is still held and lifted.",
+                    "Check the named sensor, then press Reset.",
+                )
+            )
+    raise AssertionError("unreachable: the loop returns or raises")

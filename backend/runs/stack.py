@@ -1,0 +1,104 @@
+"""The autonomous loop: probe, believe, judge, and release only where the piece will stand."""
+
+from __future__ import annotations
+
+from backend.core.facts import (
+    ActionChosen,
+    ApprovalAwaited,
+    BeliefUpdated,
+    EpisodeRecorded,
+    PatchEstimated,
+    Said,
+    StabilityJudged,
+)
+from backend.core.flow import Outcome
+from backend.placement.belief import Belief
+from backend.placement.policy import choose
+from backend.placement.stability import judge
+from backend.runs import words
+from backend.runs.bench import Bench
+from backend.runs.ending import Ending
+from backend.runs.judged import Felt, Judged
+from backend.runs.motions import lift, release, shift, take_piece
+from backend.runs.outcome import after_release
+from backend.runs.plan import Checkpoint, Plan, Waiting
+from backend.runs.probe import probe_until_accepted
+
+OPERATOR_S = 24 * 3600.0
+
+
+def stack(bench: Bench) -> Plan[Ending]:
+    """Place the piece as the paper does; ends placed, fell, knocked over or gave up."""
+    yield from take_piece(bench)
+    here = bench.arm.pose(max_age_s=0.2)
+    belief = Belief.unknown(bench.settings.belief, (here.x_mm, here.y_mm))
+    approved = bench.settings.mode == "auto"
+    probe = 0
+    while True:
+        yield Checkpoint()
+        probe += 1
+        felt = yield from probe_until_accepted(bench, probe)
+        started_s = bench.wall_s()
+        belief, judged = yield from _conclude(bench, felt, belief, started_s)
+        bench.store.keep(felt.episode)
+        if judged.action.kind == "release" and approved:
+            return (yield from _let_go(bench, judged, approved=approved))
+        yield from lift(bench, probe)
+        yield _recorded(bench, felt)
+        if judged.action.kind == "give_up":
+            return Ending(Outcome.GAVE_UP, judged.action.reason, probe)
+        if not (yield from _asked(bench, judged)):
+            return Ending(Outcome.ABORTED, "The operator declined the next move.", probe)
+        if judged.action.kind == "release":
+            # An approval covers piece, pose and run: press and judge again, then release.
+            approved = True
+            probe -= 1
+        else:
+            approved = bench.settings.mode == "auto"
+            yield from shift(bench, judged.action.step_mm, probe)
+
+
+def _conclude(
+    bench: Bench, felt: Felt, belief: Belief, started_s: float
+) -> Plan[tuple[Belief, Judged]]:
+    """Estimate, fuse, judge, choose; announced only when the action is chosen."""
+    settings = bench.settings
+    offset = felt.episode.offset_mm
+    here = (float(offset[0]), float(offset[1]))
+    patch = bench.estimator.estimate(felt.episode)
+    belief = belief.updated(patch, here)
+    stability = judge(belief, patch, bench.piece.com_xy_mm, here, settings.stability)
+    action = choose(stability, belief, here, settings.policy, settings.stability)
+    latency_ms = 1e3 * (bench.wall_s() - started_s)
+    now_s = bench.now_s()
+    yield PatchEstimated(now_s, patch, here, felt.probe)
+    yield BeliefUpdated(now_s, belief.map, felt.probe)
+    yield StabilityJudged(now_s, stability, felt.probe)
+    yield ActionChosen(now_s, action, felt.probe, latency_ms)
+    yield Said(now_s, words.decision(felt.probe, patch, stability, action))
+    return belief, Judged(felt, stability, action, now_s)
+
+
+def _let_go(bench: Bench, judged: Judged, *, approved: bool) -> Plan[Ending]:
+    """Release here and see how the piece does."""
+    probe = judged.felt.probe
+    yield from release(bench, judged, approved=approved)
+    yield _recorded(bench, judged.felt)
+    return (yield from after_release(bench, probe))
+
+
+def _asked(bench: Bench, judged: Judged) -> Plan[bool]:
+    """Wait for the operator in approve and step mode; the arm is lifted meanwhile."""
+    if bench.settings.mode == "auto":
+        return True
+    bench.gate.ask()
+    yield ApprovalAwaited(bench.now_s(), judged.action, judged.felt.probe)
+    yield Waiting(lambda: bench.gate.answered, OPERATOR_S, "the operator")
+    return bench.gate.yes
+
+
+def _recorded(bench: Bench, felt: Felt) -> EpisodeRecorded:
+    path = bench.store.settle()
+    return EpisodeRecorded(
+        bench.now_s(), felt.episode, felt.probe, "" if path is None else path.name
+    )

@@ -1,0 +1,56 @@
+"""Where a run is kept: one folder with an append-only journal and one file per episode."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+from backend.core.flow import Episode
+from backend.dataset.episode_file import write_episode
+
+
+def data_folder() -> Path:
+    """Return the folder of the operator's data: $TOUCHDOWN_DATA, else the XDG data folder."""
+    chosen = os.environ.get("TOUCHDOWN_DATA")
+    if chosen:
+        return Path(chosen)
+    base = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
+    return Path(base) / "touchdown"
+
+
+class RunStore:
+    """Writes episodes on one thread of its own, so that a run does not wait for the disk.
+
+    ``settle`` returns only when the last episode is durable; a failed write raises there.
+    """
+
+    def __init__(self, folder: Path | None, metadata: Mapping[str, str]) -> None:
+        self._folder, self._metadata = folder, dict(metadata)
+        self._writer = ThreadPoolExecutor(1, thread_name_prefix="episode-writer")
+        self._pending: Future[Path] | None = None
+
+    def keep(self, episode: Episode) -> None:
+        """Begin to write ``episode`` (nothing is written where no folder was given)."""
+        if self._folder is not None:
+            self.settle()
+            self._pending = self._writer.submit(self._write, self._folder, episode)
+
+    def settle(self) -> Path | None:
+        """Wait until the last episode is on disk; return its path."""
+        pending, self._pending = self._pending, None
+        return None if pending is None else pending.result()
+
+    def close(self) -> None:
+        """Finish the last write and end the thread."""
+        try:
+            self.settle()
+        finally:
+            self._writer.shutdown(wait=True)
+
+    def _write(self, folder: Path, episode: Episode) -> Path:
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / f"{episode.episode_id}.mcap"
+        write_episode(path, episode, label=None, metadata=self._metadata)
+        return path

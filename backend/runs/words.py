@@ -1,0 +1,34 @@
+"""The run in words: what was felt, what is believed, what is done and why, always with numbers."""
+
+from __future__ import annotations
+
+import math
+
+from backend.core.flow import ContactPatch, PlaceAction, Stability, SupportKind
+
+
+def decision(probe: int, patch: ContactPatch, stability: Stability, action: PlaceAction) -> str:
+    """One line per probe: estimate, belief, verdict with signed margin, chosen move."""
+    points = int((patch.probability > 0.5).sum())
+    share = 100.0 * points / max(1, len(patch.probability))
+    return (
+        f"Probe {probe}: contact on {share:.0f} % of the face ({points} points). "
+        f"{support(stability)} {action.reason}"
+    )
+
+
+def support(stability: Stability) -> str:
+    """Say what supports the piece, and the verdict."""
+    if stability.support is SupportKind.AREA:
+        verdict = "stable" if stability.stable else "not stable"
+        return f"Verdict: {verdict}, margin {stability.margin_mm:+.1f} mm."
+    return f"Verdict: not stable, {stability.support.value}."
+
+
+def release(stands: bool, margin_mm: float) -> str:
+    """Say what became of the released piece."""
+    if not math.isfinite(margin_mm):
+        return "The piece stands." if stands else "The piece fell: nothing supported it."
+    if stands:
+        return f"The piece stands, {margin_mm:.1f} mm inside its support."
+    return f"The piece fell: its centre of mass was {-margin_mm:.1f} mm outside its support."

@@ -1,0 +1,108 @@
+"""Turns raw samples into marker fields and tared wrenches as they arrive.
+
+One object serves every bench: the stepped one calls ``update`` after each advance, a real one from
+a thread of its own. It holds the tare and the tactile references of the probe in progress.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from backend.core.flow import FINGERS, Finger, FloatArray, MarkerField, Recording, TactileFrame
+from backend.core.stream import SampleStream, Stream
+from backend.sensing.markers import MarkerTracker
+from backend.sensing.reference import Reference, take_reference
+from backend.sensing.tare import Tare, take_tare
+
+
+@dataclass(frozen=True, slots=True)
+class RawStreams:
+    """What the devices deliver: frames per finger, untared wrench samples, arm positions."""
+
+    frames: Mapping[Finger, Stream[TactileFrame]]
+    samples: SampleStream
+    poses: SampleStream
+
+
+class LiveSensing:
+    """Follows the raw streams and fills ``fields`` (markers) and ``wrench`` (tared, N and N·m)."""
+
+    def __init__(
+        self,
+        raw: RawStreams,
+        fields: Mapping[Finger, Stream[MarkerField]],
+        wrench: SampleStream,
+    ) -> None:
+        self.raw, self.fields, self.wrench = raw, fields, wrench
+        self._trackers = {finger: MarkerTracker(finger) for finger in FINGERS}
+        self._frame_cursor = {finger: raw.frames[finger].count for finger in FINGERS}
+        self._sample_cursor = raw.samples.count
+        self._tare = Tare.zero()
+        self.tare_s = float("-inf")
+        """Bench time of the last tare: a verdict reached before it belongs to a former probe."""
+
+    @property
+    def tare(self) -> Tare:
+        """What is subtracted from the raw wrench."""
+        return self._tare
+
+    def update(self) -> None:
+        """Process everything that arrived since the last call."""
+        for finger in FINGERS:
+            frames, cursor, _ = self.raw.frames[finger].since(self._frame_cursor[finger])
+            self._frame_cursor[finger] = cursor
+            for frame in frames:
+                self.fields[finger].put(frame.t_s, self._trackers[finger].track(frame))
+        samples = self.raw.samples.since(self._sample_cursor)
+        self._sample_cursor = samples.cursor
+        if len(samples.t_s):
+            self.wrench.put(samples.t_s, self._tare.apply(samples.values))
+
+    def zero_wrench(self, now_s: float, rest_s: float = 0.2) -> Tare:
+        """Take the tare from the last ``rest_s`` of raw samples in air."""
+        window = self.raw.samples.window(now_s - rest_s, now_s)
+        self._tare = take_tare(window.t_s, window.values)
+        self.tare_s = now_s
+        return self._tare
+
+    def take_references(self, count: int) -> Mapping[Finger, Reference]:
+        """Take the tactile reference of both fingers from the newest ``count`` fields each."""
+        taken: dict[Finger, Reference] = {}
+        for finger in FINGERS:
+            stream = self.fields[finger]
+            newest, _, _ = stream.since(stream.count - count)
+            taken[finger] = take_reference(newest)
+        for finger, reference in taken.items():
+            self._trackers[finger].set_reference(reference)
+        return taken
+
+    def recording(self, start_s: float, end_s: float) -> Recording:
+        """Return the native-rate signals between two bench times."""
+        wrench = self.wrench.window(start_s, end_s)
+        poses = self.raw.poses.window(start_s, end_s)
+        fields = [f for finger in FINGERS for f in self.fields[finger].between(start_s, end_s)]
+        frames = [f for finger in FINGERS for f in self.raw.frames[finger].between(start_s, end_s)]
+        return Recording(
+            wrench_t_s=wrench.t_s,
+            wrench=wrench.values,
+            fields=tuple(sorted(fields, key=lambda f: f.t_s)),
+            frames=tuple(sorted(frames, key=lambda f: f.t_s)),
+            pose_t_s=poses.t_s,
+            pose_mm=poses.values,
+            tare=self._tare.total,
+        )
+
+    def press_n(self, now_s: float, max_age_s: float) -> float:
+        """Mean press force (tared Fz, N) of the last 10 ms; NaN if there is no young sample."""
+        window = self.wrench.window(now_s - max_age_s, now_s)
+        if not len(window.t_s):
+            return float("nan")
+        return float(np.mean(window.values[-10:, 2]))
+
+    def newest_displacement(self, finger: Finger) -> FloatArray | None:
+        """Return the newest (63, 2) displacement in px, or None."""
+        field = self.fields[finger].newest()
+        return None if field is None else field.displacement_px

@@ -1,0 +1,141 @@
+"""Read MCAP files chunk by chunk; whatever is wrong becomes one ``InputError`` naming the file."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import zstandard
+
+from backend.core.faults import InputError
+from backend.dataset.records import MAGIC, Op, walk
+
+MAX_CHUNK_BYTES = 256_000_000
+FIX = "Use another copy of the file, or record or simulate it again."
+
+
+@dataclass(slots=True)
+class Contents:
+    """What lies between two ends of a group: metadata by name, messages by topic in file order."""
+
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    messages: dict[str, list[memoryview]] = field(default_factory=dict)
+    sequence: dict[str, list[int]] = field(default_factory=dict)
+
+
+@contextmanager
+def explained(path: Path) -> Iterator[None]:
+    """Turn what a damaged or foreign file raises into an ``InputError`` naming it."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or "unreadable"
+        raise InputError(
+            f"Cannot read the file: {reason}.", str(path), "Check the path."
+        ) from error
+    except (ValueError, KeyError, TypeError, struct.error, zstandard.ZstdError) as error:
+        raise InputError(f"The file is damaged or foreign: {error}.", str(path), FIX) from error
+
+
+def read_groups(path: Path) -> Iterator[Contents]:
+    """Yield one ``Contents`` per chunk, with the metadata records before it.
+
+    Checks both magics, the footer's and every chunk's CRC; raises ``InputError``.
+    """
+    with explained(path):
+        data = path.read_bytes()
+        _check_ends(data)
+        yield from _groups(memoryview(data)[len(MAGIC) : -len(MAGIC)])
+
+
+def read_whole(path: Path) -> Contents:
+    """Return all metadata and messages of a file in one ``Contents``."""
+    whole = Contents()
+    for part in read_groups(path):
+        whole.metadata.update(part.metadata)
+        for topic, messages in part.messages.items():
+            whole.messages.setdefault(topic, []).extend(messages)
+            whole.sequence.setdefault(topic, []).extend(part.sequence[topic])
+    return whole
+
+
+def _check_ends(data: bytes) -> None:
+    if not data.startswith(MAGIC):
+        raise ValueError("it is not an MCAP file")
+    if len(data) < 75 or not data.endswith(MAGIC):
+        raise ValueError("it is cut short")
+    footer = len(data) - len(MAGIC) - 29
+    op, length, start, _, crc = struct.unpack_from("<BQQQI", data, footer)
+    if (op, length) != (Op.FOOTER, 20) or start > footer:
+        raise ValueError("it has no footer")
+    if crc and start and zlib.crc32(memoryview(data)[start : footer + 25]) != crc:
+        raise ValueError("the checksum of its summary is wrong")
+
+
+def _groups(body: memoryview) -> Iterator[Contents]:
+    group = Contents()
+    for op, content in walk(body, "the file"):
+        if op == Op.METADATA:
+            name, at = _text(content, 0)
+            group.metadata[name] = _text_map(content, at)
+        elif op == Op.CHUNK:
+            _read_chunk(content, group)
+            yield group
+            group = Contents()
+        elif op == Op.DATA_END:
+            break
+    if group.metadata:
+        yield group
+
+
+def _read_chunk(content: memoryview, group: Contents) -> None:
+    size, crc = struct.unpack_from("<QI", content, 16)
+    compression, at = _text(content, 28)
+    (stored,) = struct.unpack_from("<Q", content, at)
+    records = content[at + 8 : at + 8 + stored]
+    if size > MAX_CHUNK_BYTES or len(records) != stored:
+        raise ValueError("a chunk has an impossible size")
+    if compression == "zstd":
+        plain = zstandard.ZstdDecompressor().decompress(records, max_output_size=size)
+    elif compression == "":
+        plain = bytes(records)
+    else:
+        raise ValueError(f"unknown compression '{compression}'")
+    if len(plain) != size or (crc and zlib.crc32(plain) != crc):
+        raise ValueError("the checksum of a chunk is wrong")
+    _read_messages(plain, group)
+
+
+def _read_messages(plain: bytes, group: Contents) -> None:
+    topics: dict[int, str] = {}
+    for op, content in walk(plain, "a chunk"):
+        if op == Op.CHANNEL:
+            (channel,) = struct.unpack_from("<H", content, 0)
+            topics[channel] = _text(content, 4)[0]
+        elif op == Op.MESSAGE:
+            channel, sequence = struct.unpack_from("<HI", content, 0)
+            topic = topics[channel]
+            group.messages.setdefault(topic, []).append(content[22:])
+            group.sequence.setdefault(topic, []).append(sequence)
+
+
+def _text(content: memoryview, at: int) -> tuple[str, int]:
+    (length,) = struct.unpack_from("<I", content, at)
+    end = at + 4 + length
+    if end > len(content):
+        raise ValueError("a text is longer than its record")
+    return str(content[at + 4 : end], "utf-8"), end
+
+
+def _text_map(content: memoryview, at: int) -> dict[str, str]:
+    (length,) = struct.unpack_from("<I", content, at)
+    at, end = at + 4, at + 4 + length
+    values: dict[str, str] = {}
+    while at < end:
+        key, at = _text(content, at)
+        values[key], at = _text(content, at)
+    return values

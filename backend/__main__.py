@@ -1,0 +1,141 @@
+"""The command line: ``touchdown <verb>``.
+
+Exit codes: 0 done, 1 the run failed or the piece fell, 2 bad input, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+from collections.abc import Sequence
+from typing import NoReturn, Protocol, cast
+
+from backend.core.faults import FaultError, InputError, RefusedError, TouchdownError
+from backend.verbs.screen import Screen
+
+VERBS = {
+    "app": "open the window",
+    "stack": "place a piece by touch on the simulated bench",
+    "replay": "play a recorded run again",
+    "simulate": "write labelled episodes of the simulated bench",
+    "train": "train a contact-patch model",
+    "evaluate": "measure a contact-patch model",
+    "track": "track the gel's markers in an image, video or folder",
+    "doctor": "check this computer, each finding with its fix",
+}
+"""Every verb and its line of help; ``backend.verbs.<verb>`` is imported only when it is used."""
+
+DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+class Verb(Protocol):
+    """What the module of a verb offers."""
+
+    NAME: str
+    HELP: str
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the verb's own arguments."""
+
+    def run(self, args: argparse.Namespace, screen: Screen) -> int:
+        """Do the work; returns the exit code."""
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose complaints are ``InputError`` like every other bad input."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise ``InputError`` instead of printing usage and leaving."""
+        raise InputError(
+            f"{message[:1].upper()}{message[1:]}.", self.prog, f"See '{self.prog} --help'."
+        )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one verb; ``argv`` without the program's name (default: the process's own)."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    try:
+        return _dispatch(words)
+    except InputError as error:
+        _complain(words, error.what, error.where, error.fix)
+        return BAD_INPUT
+    except FaultError as error:
+        fault = error.fault
+        _complain(words, f"{fault.what} {fault.consequence}", fault.code, fault.next_step)
+        return FAILED
+    except RefusedError as error:
+        _complain(words, error.detail, error.reason, "Bring the bench into the named condition.")
+        return FAILED
+    except TouchdownError as error:
+        _complain(words, str(error), type(error).__name__, "")
+        return FAILED
+    except KeyboardInterrupt:
+        sys.stderr.write("Interrupted.\n")
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader (head, less) left: that is its right, and nothing is lost by it.
+        sys.stderr.close()
+        return DONE
+
+
+def _dispatch(words: list[str]) -> int:
+    front = _front()
+    if not words or words[0].startswith("-"):
+        front.parse_args(words)
+        front.print_help()
+        return BAD_INPUT
+    name, rest = words[0], words[1:]
+    if name not in VERBS:
+        known = ", ".join(VERBS)
+        raise InputError(f"There is no verb '{name}'.", "touchdown", f"Use one of: {known}.")
+    verb = cast("Verb", importlib.import_module(f"backend.verbs.{name}"))
+    parser = Parser(prog=f"touchdown {name}", description=VERBS[name], allow_abbrev=False)
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object and nothing else"
+    )
+    verb.add_arguments(parser)
+    args, unknown = parser.parse_known_args(rest)
+    if hasattr(args, "handed_on"):
+        args.handed_on = unknown
+    elif unknown:
+        parser.error(f"unknown argument: {' '.join(unknown)}")
+    return verb.run(args, Screen(json=args.json))
+
+
+def _front() -> Parser:
+    lines = "\n".join(f"  {name:<10}{text}" for name, text in VERBS.items())
+    front = Parser(
+        prog="touchdown",
+        usage="touchdown [-h] [--version] <verb> [arguments]",
+        description="Feel how a grasped piece rests before letting it go.",
+        epilog=f"verbs:\n{lines}\n\n'touchdown <verb> --help' tells more.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    front.add_argument("--version", action="version", version=f"touchdown {_version()}")
+    return front
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("touchdown")
+    except PackageNotFoundError:
+        return "(not installed)"
+
+
+def _complain(words: list[str], what: str, where: str, fix: str) -> None:
+    if "--json" in words:
+        body = {"error": {"what": what, "where": where, "fix": fix}}
+        sys.stderr.write(json.dumps(body) + "\n")
+        return
+    sys.stderr.write(f"touchdown: {what}\n  where: {where}\n")
+    if fix:
+        sys.stderr.write(f"  fix:   {fix}\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

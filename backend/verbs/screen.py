@@ -1,0 +1,97 @@
+"""Where a verb's words go: tables and bars for people, one JSON object for scripts."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TextIO
+
+from rich.console import Console, RenderableType
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+Advance = Callable[..., None]
+
+
+class Screen:
+    """The command line's output.
+
+    For people everything goes to standard output. With ``json`` on, standard output holds exactly
+    one JSON object (from ``result``) and nothing else; ``say``, ``show`` and bars are silent.
+    """
+
+    def __init__(self, *, json: bool = False, stream: TextIO | None = None) -> None:
+        self.json = json
+        self._stream = sys.stdout if stream is None else stream
+        self._console = Console(file=self._stream, quiet=json, highlight=False, soft_wrap=True)
+        self._answered = False
+
+    def say(self, text: str) -> None:
+        """Print a plain sentence for people (square brackets are text, not mark-up)."""
+        self._console.print(text, markup=False)
+
+    def show(self, renderable: RenderableType) -> None:
+        """Print a rich table, panel or other renderable for people."""
+        self._console.print(renderable, soft_wrap=False)
+
+    @contextmanager
+    def progress(self, title: str, total: int | None) -> Iterator[Advance]:
+        """Show a bar with count, elapsed time and ETA; yields ``advance(done, text="")``.
+
+        ``done`` is the absolute number of steps completed; ``total`` None means unknown.
+        """
+        bar = Progress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("ETA"),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[text]}", markup=False),
+            console=self._console,
+            disable=self.json or not self._console.is_terminal,
+        )
+        task = bar.add_task(title, total=total, text="")
+
+        def advance(done: int, text: str = "") -> None:
+            bar.update(task, completed=done, text=text)
+
+        if not self._console.is_terminal:
+            self.say(f"{title} ...")
+        with bar:
+            yield advance
+
+    def result(self, mapping: Mapping[str, object]) -> None:
+        """With ``json``: print ``mapping`` as the one JSON object; RuntimeError the second time.
+
+        Numbers that JSON does not know (NaN, infinities) become null.
+        """
+        if not self.json:
+            return
+        if self._answered:
+            raise RuntimeError("a verb gives exactly one result")
+        self._answered = True
+        self._stream.write(json.dumps(_plain(mapping), allow_nan=False) + "\n")
+        self._stream.flush()
+
+
+def _plain(value: object) -> object:
+    """Return ``value`` with non-finite floats as None, tuples as lists, numpy scalars as numbers."""
+    if hasattr(value, "item"):
+        value = value.item()
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return [_plain(item) for item in value]
+    return value

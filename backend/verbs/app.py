@@ -20,6 +20,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, screen: Screen) -> int:
+    """Open the window and return its exit code."""
+    return open_window(args.handed_on)
+
+
+def open_window(arguments: list[str]) -> int:
     """Hand over to the window; returns its exit code, ``InputError`` if Qt is not installed."""
     if find_spec("PySide6") is None:
         raise InputError(
@@ -29,4 +34,4 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         )
     # The backend knows nothing of the window (import contract): this one door opens by name.
     window = importlib.import_module("app.__main__")
-    return int(window.main(args.handed_on))
+    return int(window.main(arguments))

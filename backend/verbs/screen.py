@@ -85,7 +85,7 @@ class Screen:
 
 
 def _plain(value: object) -> object:
-    """Return ``value`` with non-finite floats as None, tuples as lists, numpy scalars as numbers."""
+    """Return ``value`` for JSON: non-finite floats None, tuples lists, numpy scalars numbers."""
     if hasattr(value, "item"):
         value = value.item()
     if isinstance(value, float):

@@ -58,7 +58,10 @@ class Scoring(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """One trial's bench. ``now_s`` is its clock; ``scoring`` is None where truth is unknown."""
+    """One trial's bench. ``now_s`` is its clock; ``scoring`` is None where truth is unknown.
+
+    ``wall_s`` measures decision latency only; ``probe_count`` says how far the trial has come.
+    """
 
     now_s: Callable[[], float]
     arm: GuardedArm
@@ -73,3 +76,4 @@ class Bench:
     settings: StackSettings
     scoring: Scoring | None
     wall_s: Callable[[], float]
+    probe_count: Callable[[], int]

@@ -12,7 +12,6 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 
-from backend.core.clock import Clock
 from backend.core.facts import (
     ActionChosen,
     ApprovalAwaited,
@@ -43,8 +42,8 @@ _ACTIVE = {RunState.RUNNING, RunState.PAUSING, RunState.PAUSED, RunState.PREPARI
 class Engine:
     """Runs plans. ``tick`` is called by whoever owns the bench's time (a thread or a loop)."""
 
-    def __init__(self, hub: Hub, interlock: Interlock, clock: Callable[[], Clock]) -> None:
-        self._hub, self._interlock, self._clock = hub, interlock, clock
+    def __init__(self, hub: Hub, interlock: Interlock, now_s: Callable[[], float]) -> None:
+        self._hub, self._interlock, self._now_s = hub, interlock, now_s
         self._lock = threading.RLock()
         self._status = RunStatus(RunState.IDLE)
         self._plan: Plan[object] | None = None
@@ -109,7 +108,7 @@ class Engine:
                 return
             if self._interlock.latched and not isinstance(self._throw, StoppedError):
                 self._throw = StoppedError(self._why_stopped())
-        self._interlock.renew_lease(self._clock().now_s())
+        self._interlock.renew_lease(self._now_s())
         for _ in range(10_000):
             if not self._may_go_on():
                 return
@@ -144,7 +143,7 @@ class Engine:
         if waiting.until():
             self._waiting = None
             return True
-        if self._clock().now_s() > self._deadline_s:
+        if self._now_s() > self._deadline_s:
             self._throw, self._waiting = timeout_fault(waiting), None
             return True
         return False
@@ -169,7 +168,7 @@ class Engine:
             self._publish(step)
         elif isinstance(step, Waiting):
             self._waiting = step
-            self._deadline_s = self._clock().now_s() + step.timeout_s
+            self._deadline_s = self._now_s() + step.timeout_s
         elif isinstance(step, Checkpoint):
             return self._checkpoint()
         return True
@@ -200,7 +199,7 @@ class Engine:
 
     def _fail(self, error: Exception) -> None:
         """End after an escaped error; a failed clean-up cannot prevent ``RunFinished``."""
-        now_s = self._clock().now_s()
+        now_s = self._now_s()
         fault = error.fault if isinstance(error, FaultError) else _fault_of(error)
         stopped = isinstance(error, StoppedError)
         run_id = self._status.run_id

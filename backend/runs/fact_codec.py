@@ -1,13 +1,15 @@
 """Facts as JSON and back, so that a journal can be read by people and replayed by the program.
 
 Arrays become ``{"shape", "dtype", "data"}`` with base64 of little-endian bytes; episodes keep only
-what the screen needs, their signals live in the episode file named beside them.
+what the screen needs, their signals live in the episode file named beside them. A float that is
+not finite becomes the text ``nan``, ``inf`` or ``-inf``, so that every line is standard JSON.
 """
 
 from __future__ import annotations
 
 import base64
 import dataclasses
+import math
 import types
 import typing
 from enum import Enum
@@ -66,7 +68,9 @@ def _encoded(value: Any) -> Any:
     if isinstance(value, tuple):
         return [_encoded(item) for item in value]
     if isinstance(value, np.generic):
-        return value.item()
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return repr(value)
     return value
 
 
@@ -83,6 +87,8 @@ def _build(cls: type, content: dict[str, Any]) -> Any:
 def _decoded(hint: Any, value: Any) -> Any:
     if isinstance(value, dict) and "dtype" in value and "shape" in value:
         return _array(value)
+    if hint is float:
+        return float(value)
     origin = typing.get_origin(hint)
     if origin in (typing.Union, types.UnionType):
         inner = [arg for arg in typing.get_args(hint) if arg is not type(None)]

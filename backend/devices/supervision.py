@@ -1,0 +1,99 @@
+"""Watches the sensors while the bench moves: a silent or raving sensor ends motion with a fault.
+
+Called once per advance of the bench, with the bench clock. Limits come from the interlock
+(reliability sections 3.3, 4.7 and 6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from backend.core.faults import Fault
+from backend.core.flow import FINGERS, Finger, TactileFrame
+from backend.core.stream import SampleStream, Stream
+from backend.devices.interlock import Interlock
+
+GRACE_S = 1.0
+"""After a scene begins the sensors get this long to deliver their first samples."""
+_KEPT = "Motion stopped; the piece is still held."
+_LOOK = "Check the device and its cable, then press Reset."
+
+
+class Supervision:
+    """One watch over the tared wrench and both cameras."""
+
+    def __init__(
+        self,
+        interlock: Interlock,
+        wrench: SampleStream,
+        frames: Mapping[Finger, Stream[TactileFrame]],
+    ) -> None:
+        self._interlock, self._wrench, self._frames = interlock, wrench, frames
+        self._cursor = wrench.count
+        self._begun_s = 0.0
+        self._finite_s = 0.0
+
+    def begin(self, now_s: float) -> None:
+        """Count ages from here: a new scene began."""
+        self._begun_s = self._finite_s = now_s
+        self._cursor = self._wrench.count
+
+    def check(self, now_s: float) -> None:
+        """Raise (latch) a fault if a sensor is silent, not finite, or over its trip limit."""
+        samples = self._wrench.since(self._cursor)
+        self._cursor = samples.cursor
+        if len(samples.t_s):
+            finite = np.isfinite(samples.values).all(axis=1)
+            if finite.any():
+                self._finite_s = float(samples.t_s[finite][-1])
+                self._check_trip(samples.values[finite])
+        if now_s - self._begun_s < GRACE_S:
+            return
+        self._check_ages(now_s)
+
+    def _check_trip(self, wrench: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> None:
+        limits = self._interlock.limits
+        force = np.linalg.norm(wrench[:, :3], axis=1)
+        moment = np.linalg.norm(wrench[:, 3:], axis=1)
+        over = (force > limits.trip_n) | (moment > limits.trip_nm)
+        twice = bool((over[:-1] & over[1:]).any())
+        if twice or bool((force > limits.trip_at_once_n).any()):
+            self._interlock.raise_fault(
+                Fault(
+                    "FT-TRIP",
+                    f"Force trip: {force.max():.1f} N, {moment.max():.2f} N·m "
+                    f"(limits {limits.trip_n:.0f} N, {limits.trip_nm:.1f} N·m).",
+                    _KEPT,
+                    "Check the piece and the support, then press Reset.",
+                    "force_torque",
+                )
+            )
+
+    def _check_ages(self, now_s: float) -> None:
+        limits = self._interlock.limits
+        age_s = now_s - self._finite_s
+        if age_s > limits.wrench_age_s:
+            self._interlock.raise_fault(
+                Fault(
+                    "FT-STALE",
+                    f"No valid force/torque sample for {age_s:.1f} s.",
+                    _KEPT,
+                    _LOOK,
+                    "force_torque",
+                )
+            )
+        for finger in FINGERS:
+            newest = self._frames[finger].newest()
+            last_s = self._begun_s if newest is None else max(self._begun_s, newest.t_s)
+            if now_s - last_s > limits.frame_age_s:
+                self._interlock.raise_fault(
+                    Fault(
+                        "CAMERA-STALE",
+                        f"The {finger} tactile camera is silent for {now_s - last_s:.1f} s.",
+                        _KEPT,
+                        _LOOK,
+                        f"tactile_{finger}",
+                    )
+                )

@@ -1,0 +1,31 @@
+"""The scene of one trial as its devices, whoever provides them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from backend.core.clock import Clock
+from backend.devices.protocols import Arm, Device, Gripper
+from backend.objects.catalogue import Piece
+from backend.runs.bench import Estimate, Scoring
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """Unguarded devices of one scene. ``advance`` moves the bench's time by so many microseconds.
+
+    ``devices`` names all five for the chips; ``scoring`` is None where the truth is unknown;
+    ``describe`` is a JSON-ready record of everything the scene depends on.
+    """
+
+    clock: Clock
+    devices: Mapping[str, Device]
+    arm: Arm
+    gripper: Gripper
+    piece: Piece
+    bottom: str
+    advance: Callable[[int], None]
+    scoring: Scoring | None
+    estimator: Estimate
+    describe: Mapping[str, object]

@@ -1,0 +1,156 @@
+"""``touchdown stack``: run the stacking loop on the simulated bench and tell what happens."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+from rich.table import Table
+
+from backend.core.facts import Fact, FaultRaised, PhaseEntered, Said, TrialFinished, TrialStarted
+from backend.core.faults import InputError
+from backend.core.flow import Outcome
+from backend.runs.requests import StackRequest
+from backend.runs.store import data_folder
+from backend.verbs.screen import Screen
+
+NAME = "stack"
+HELP = "stack a piece on the simulated bench, headless"
+JSON_VERSION = 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments of this verb."""
+    parser.add_argument("--piece", default="pot", help="grasped piece (default: pot)")
+    parser.add_argument(
+        "--bottom",
+        default="short",
+        help="support, bottom-up and joined by + for a tower, such as short+long (default: short)",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="trial k uses seed + k")
+    parser.add_argument("--trials", type=int, default=1)
+    parser.add_argument("--strategy", choices=("paper", "pick-and-place"), default="paper")
+    parser.add_argument("--model", metavar="FILE", help="checkpoint (default: the shipped one)")
+    parser.add_argument("--bench", metavar="FILE", help="settings of the simulated bench (TOML)")
+    parser.add_argument("--preset", help="noise preset: mixed, quiet, hard, off, realistic")
+    parser.add_argument(
+        "--inject",
+        action="append",
+        default=[],
+        metavar="FAULT",
+        help="scripted disturbance such as tactile_left:stop@3.0 (may be given several times)",
+    )
+    parser.add_argument("--runs", metavar="DIR", help="folder for runs (default: data folder)")
+    parser.add_argument("--no-episodes", action="store_true", help="keep the journal only")
+
+
+def run(args: argparse.Namespace, screen: Screen) -> int:
+    """Run all trials; 0 if every piece was placed, else 1."""
+    # Imported here so that `touchdown doctor` starts without torch.
+    from backend.assembly import SimulatedBenchChoice, simulated_session
+    from backend.session import Keep
+
+    if args.trials < 1:
+        raise InputError("--trials must be at least 1.", "--trials", "Give a positive number.")
+    request = StackRequest(
+        piece=args.piece,
+        bottoms=tuple(args.bottom.split("+")),
+        seed=args.seed,
+        trials=args.trials,
+        strategy=args.strategy,
+        model=args.model,
+    )
+    runs = Path(args.runs) if args.runs else data_folder() / "runs"
+    choice = SimulatedBenchChoice(
+        file=Path(args.bench) if args.bench else None,
+        preset=args.preset,
+        disturbances=tuple(args.inject),
+    )
+    session = simulated_session(choice, keep=Keep(runs, episodes=not args.no_episodes))
+    trials: list[TrialFinished] = []
+    faults: list[FaultRaised] = []
+    session.hub.subscribe(lambda fact: _follow(fact, trials, faults))
+    session.hub.subscribe(lambda fact: narrate(fact, screen))
+    try:
+        session.run(request)
+    finally:
+        session.close()
+    screen.show(trial_table(trials))
+    if session.run_folder is not None:
+        screen.say(f"Kept in {session.run_folder}")
+    screen.result(_result(args, trials, faults, session.run_folder))
+    placed = [t for t in trials if t.outcome is Outcome.PLACED]
+    return 0 if len(placed) == request.trials else 1
+
+
+def _follow(fact: Fact, trials: list[TrialFinished], faults: list[FaultRaised]) -> None:
+    if isinstance(fact, TrialFinished):
+        trials.append(fact)
+    elif isinstance(fact, FaultRaised):
+        faults.append(fact)
+
+
+def narrate(fact: Fact, screen: Screen) -> None:
+    """Say one fact in words, if it is one for people."""
+    if isinstance(fact, TrialStarted):
+        screen.say(f"Trial {fact.trial}, seed {fact.seed} (simulated bench)")
+    elif isinstance(fact, Said):
+        screen.say(f"  {fact.t_s:6.2f} s  {fact.text}")
+    elif isinstance(fact, PhaseEntered) and fact.phase in ("unload", "release"):
+        screen.say(f"  {fact.t_s:6.2f} s  {fact.phase}")
+    elif isinstance(fact, FaultRaised):
+        fault = fact.fault
+        screen.say(
+            f"  {fact.t_s:6.2f} s  FAULT {fault.code}: {fault.what} {fault.consequence} "
+            f"{fault.next_step}"
+        )
+    elif isinstance(fact, TrialFinished):
+        word = fact.outcome.value.replace("_", " ")
+        screen.say(f"  {fact.t_s:6.2f} s  {word}: {fact.reason}")
+
+
+def trial_table(trials: list[TrialFinished]) -> Table:
+    """Return the closing table of a run."""
+    placed = sum(t.outcome is Outcome.PLACED for t in trials)
+    table = Table(title=f"{placed} of {len(trials)} placed (simulated)")
+    for column in ("seed", "outcome", "probes", "excess", "margin mm", "reason"):
+        table.add_column(column)
+    for t in trials:
+        margin = "" if t.margin_mm is None else f"{t.margin_mm:+.2f}"
+        excess = "" if t.excess_probes is None else str(t.excess_probes)
+        table.add_row(str(t.seed), t.outcome.value, str(t.probes), excess, margin, t.reason)
+    return table
+
+
+def _result(
+    args: argparse.Namespace,
+    trials: list[TrialFinished],
+    faults: list[FaultRaised],
+    folder: Path | None,
+) -> dict[str, object]:
+    return {
+        "version": JSON_VERSION,
+        "piece": args.piece,
+        "bottom": args.bottom,
+        "strategy": args.strategy,
+        "simulated": True,
+        "run": None if folder is None else str(folder),
+        "faults": [f.fault.code for f in faults],
+        "trials": [
+            {
+                "seed": t.seed,
+                "outcome": t.outcome.value,
+                "reason": t.reason,
+                "probes": t.probes,
+                "excess_probes": t.excess_probes,
+                "margin_mm": _finite(t.margin_mm),
+            }
+            for t in trials
+        ],
+    }
+
+
+def _finite(value: float | None) -> float | None:
+    """Return None for "nothing supports it" (-inf): JSON has no infinity."""
+    return value if value is not None and math.isfinite(value) else None

@@ -1,0 +1,194 @@
+"""The engine in every state: pause at checkpoints, cancel with clean-up, stop from anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from backend.core.clock import HandClock
+from backend.core.facts import Fact, FaultRaised, RunFinished, RunStarted, Said
+from backend.core.faults import InputError, RefusedError
+from backend.core.hub import Hub
+from backend.devices.interlock import Interlock
+from backend.runs.engine import Engine
+from backend.runs.plan import CancelledError, Checkpoint, Plan, StoppedError, Waiting
+from backend.runs.requests import RunState
+
+
+class Rig:
+    """An engine on a hand-wound clock, and everything it published."""
+
+    def __init__(self) -> None:
+        self.clock, self.hub, self.interlock = HandClock(), Hub(), Interlock()
+        self.engine = Engine(self.hub, self.interlock, self.clock.now_s)
+        self.facts: list[Fact] = []
+        self.hub.subscribe(self.facts.append)
+
+    def advance(self) -> None:
+        self.clock.wind(20_000)
+
+    def tick(self, times: int = 1) -> None:
+        for _ in range(times):
+            self.engine.tick()
+            self.advance()
+
+    def texts(self) -> list[str]:
+        return [fact.text for fact in self.facts if isinstance(fact, Said)]
+
+
+@pytest.fixture
+def rig() -> Rig:
+    return Rig()
+
+
+def started() -> RunStarted:
+    return RunStarted(0.0, "r1", "pot", "short", "paper", 0, 1, True, "{}")
+
+
+def waits(now_s: Callable[[], float], seconds: float) -> Waiting:
+    until_s = now_s() + seconds
+    return Waiting(lambda: now_s() >= until_s, 100.0, "time")
+
+
+def two_steps(rig: Rig) -> Plan[str]:
+    yield started()
+    try:
+        for name in ("one", "two"):
+            yield Checkpoint()
+            yield Said(rig.clock.now_s(), name)
+            yield waits(rig.clock.now_s, 0.1)
+    except CancelledError:
+        yield Said(rig.clock.now_s(), "lifted")
+        yield waits(rig.clock.now_s, 0.1)
+        yield Said(rig.clock.now_s(), "clean")
+        return "cancelled"
+    return "done"
+
+
+def test_facts_come_in_order_and_the_value_is_returned(rig: Rig) -> None:
+    assert rig.engine.run(two_steps(rig), rig.advance) == "done"
+    assert rig.texts() == ["one", "two"]
+    assert rig.clock.now_s() == pytest.approx(0.2, abs=0.05)
+    assert rig.engine.status().state is RunState.IDLE
+
+
+def test_pause_waits_for_a_checkpoint_and_resumes(rig: Rig) -> None:
+    rig.engine.begin(two_steps(rig))
+    rig.tick()
+    rig.engine.pause()
+    assert rig.engine.status().state is RunState.PAUSING
+    rig.tick(20)
+    assert rig.engine.status().state is RunState.PAUSED
+    assert rig.texts() == ["one"]
+    rig.engine.resume()
+    rig.tick(20)
+    assert rig.texts() == ["one", "two"]
+    assert rig.engine.status().state is RunState.IDLE
+
+
+@pytest.mark.parametrize("paused", [False, True])
+def test_cancel_lets_the_plan_clean_up(rig: Rig, paused: bool) -> None:
+    rig.engine.begin(two_steps(rig))
+    rig.tick()
+    if paused:
+        rig.engine.pause()
+        rig.tick(20)
+    rig.engine.cancel()
+    assert rig.engine.status().state is RunState.CANCELLING
+    rig.tick(20)
+    assert rig.texts() == ["one", "lifted", "clean"]
+    assert not rig.engine.busy
+
+
+@pytest.mark.parametrize("before", ["preparing", "running", "pausing", "paused", "cancelling"])
+def test_stop_ends_the_run_from_every_state_without_clean_up(rig: Rig, before: str) -> None:
+    rig.engine.begin(two_steps(rig))
+    if before != "preparing":
+        rig.tick()
+    if before in ("pausing", "paused"):
+        rig.engine.pause()
+    if before == "paused":
+        rig.tick(20)
+    if before == "cancelling":
+        rig.engine.cancel()
+        rig.tick()
+    assert rig.engine.status().state.value == before
+    rig.interlock.stop("operator")
+    rig.tick()
+    assert not rig.engine.busy
+    assert "clean" not in rig.texts()
+    ending = rig.facts[-1]
+    assert isinstance(ending, RunFinished)
+    assert ending.ending == "stopped"
+    with pytest.raises(RefusedError, match="LATCHED"):
+        rig.engine.begin(two_steps(rig))
+    rig.interlock.reset()
+    rig.engine.begin(two_steps(rig))
+
+
+def test_a_plan_may_end_itself_in_an_orderly_way_after_stop(rig: Rig) -> None:
+    def plan() -> Plan[str]:
+        yield started()
+        try:
+            yield waits(rig.clock.now_s, 10.0)
+        except StoppedError as cause:
+            yield Said(0.0, str(cause))
+        return "noticed"
+
+    rig.engine.begin(plan())
+    rig.tick()
+    rig.interlock.stop("F12")
+    rig.tick()
+    assert rig.texts() == ["stopped by F12"]
+    assert not rig.engine.busy
+
+
+def test_a_wait_that_never_ends_becomes_a_latched_fault(rig: Rig) -> None:
+    def plan() -> Plan[None]:
+        yield started()
+        yield Waiting(lambda: False, 1.0, "a device that is dead")
+
+    with pytest.raises(Exception, match="a device that is dead"):
+        rig.engine.run(plan(), rig.advance)
+    assert [f.code for f in rig.interlock.faults] == ["TIMEOUT"]
+    assert any(isinstance(fact, FaultRaised) for fact in rig.facts)
+    assert isinstance(rig.facts[-1], RunFinished)
+
+
+def test_an_unforeseen_error_cannot_prevent_the_end_of_the_run(rig: Rig) -> None:
+    def plan() -> Plan[None]:
+        yield started()
+        raise ValueError("broken maths")
+
+    with pytest.raises(ValueError, match="broken maths"):
+        rig.engine.run(plan(), rig.advance)
+    assert rig.interlock.latched
+    ending = rig.facts[-1]
+    assert isinstance(ending, RunFinished)
+    assert ending.ending == "failed"
+
+
+def test_bad_input_is_shown_and_does_not_latch(rig: Rig) -> None:
+    def plan() -> Plan[None]:
+        raise InputError("No such piece.", "pieces/nope.toml", "Choose another.")
+        yield started()
+
+    with pytest.raises(InputError):
+        rig.engine.run(plan(), rig.advance)
+    assert not rig.interlock.latched
+    assert any(isinstance(fact, FaultRaised) for fact in rig.facts)
+
+
+def test_the_lease_lives_while_a_plan_is_driven_and_not_after(rig: Rig) -> None:
+    rig.engine.begin(two_steps(rig))
+    rig.tick()
+    assert rig.interlock.has_lease(rig.clock.now_s())
+    rig.tick(20)
+    assert not rig.interlock.has_lease(rig.clock.now_s())
+
+
+def test_only_one_run_at_a_time(rig: Rig) -> None:
+    rig.engine.begin(two_steps(rig))
+    with pytest.raises(RefusedError, match="BUSY"):
+        rig.engine.begin(two_steps(rig))

@@ -1,0 +1,146 @@
+"""Every fact survives the journal; a torn or foreign journal gives one clear answer."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from backend.core import facts, flow
+from backend.core.faults import Fault, InputError
+from backend.runs.journal import NAME, Journal, read_journal
+
+EPISODE = flow.Episode(
+    episode_id="e1",
+    piece="pot",
+    observation=np.arange(20 * 258, dtype=np.float32).reshape(20, 258),
+    offset_mm=np.array([1.5, -2.25]),
+    onset_s=3.25,
+    quality=flow.EpisodeQuality(True, (), 1, 0.01, 0, 12.5, 0.02),
+    metadata=(("grip_id", "g1"),),
+)
+PATCH = flow.ContactPatch(np.array([[0.0, 1.0], [2.0, 3.0]]), np.array([0.1, 0.9]))
+BELIEF = flow.BeliefMap(
+    np.linspace(-3, 3, 12).reshape(3, 4), np.eye(3, 4, dtype=bool), (-1.0, 2.0), 1.0, 2
+)
+STABILITY = flow.Stability(
+    True, 0.75, flow.SupportKind.AREA, np.array([[0.0, 0], [1, 0], [0, 1]]), (0.2, 0.3), "belief"
+)
+ACTION = flow.PlaceAction("shift", (1.0, -2.0), (4.0, 5.0), True, "why")
+FALL = flow.Fall(np.array([0.0, 0.1]), np.zeros((2, 1, 7)), ("pot",))
+ALL = [
+    facts.RunStarted(0.0, "r", "pot", "short", "paper", 7, 2, True, "{}"),
+    facts.TrialStarted(0.1, 1, 7, (1.0, 2.0)),
+    facts.TrialStarted(0.1, 1, 7, None),
+    facts.PhaseEntered(0.2, "press", 1),
+    facts.EpisodeRecorded(0.3, EPISODE, 1, "e1.mcap"),
+    facts.PatchEstimated(0.4, PATCH, (1.5, -2.25), 1),
+    facts.BeliefUpdated(0.5, BELIEF, 1),
+    facts.StabilityJudged(0.6, STABILITY, 1),
+    facts.StabilityJudged(
+        0.6,
+        flow.Stability(
+            False, -math.inf, flow.SupportKind.NONE, np.zeros((0, 2)), (0.0, 0.0), "patch"
+        ),
+        1,
+    ),
+    facts.ActionChosen(0.7, ACTION, 1, 3.5),
+    facts.ApprovalAwaited(0.8, dataclasses.replace(ACTION, target_mm=None), 1),
+    facts.Released(0.9, 1, False, -1.25, FALL),
+    facts.Released(0.9, 1, True, None, None),
+    facts.TrialFinished(1.0, 1, 7, flow.Outcome.FELL, "because", 3, None, -1.25),
+    facts.FaultRaised(1.1, Fault("X", "what", "so", "then", "arm")),
+    facts.FaultsReset(1.2),
+    facts.Progress(1.3, 1, 2, "half"),
+    facts.Said(1.4, "words"),
+    facts.RunFinished(1.5, "r", "finished", "done"),
+]
+
+
+def same(a: object, b: object) -> bool:
+    if isinstance(a, np.ndarray):
+        return isinstance(b, np.ndarray) and a.dtype == b.dtype and np.array_equal(a, b)
+    if dataclasses.is_dataclass(a):
+        return type(a) is type(b) and all(
+            same(getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a)
+        )
+    return a == b
+
+
+def written(folder: Path) -> Path:
+    journal = Journal(folder)
+    for fact in ALL:
+        journal(fact)
+    journal.close()
+    return folder
+
+
+def test_every_kind_of_fact_is_in_the_test() -> None:
+    kinds = {
+        value
+        for value in vars(facts).values()
+        if isinstance(value, type) and issubclass(value, facts.Fact) and value is not facts.Fact
+    }
+    assert kinds == {type(fact) for fact in ALL}
+
+
+def test_all_facts_come_back_equal(tmp_path: Path) -> None:
+    back = list(read_journal(written(tmp_path / "run")))
+    assert len(back) == len(ALL)
+    for before, after in zip(ALL, back, strict=True):
+        assert same(before, after), type(before).__name__
+
+
+def test_a_torn_last_line_costs_that_line_only(tmp_path: Path) -> None:
+    folder = written(tmp_path / "run")
+    content = (folder / NAME).read_bytes()
+    lines = content.splitlines(keepends=True)
+    for cut in (1, 10, len(lines[-1]) - 1):
+        (folder / NAME).write_bytes(content[:-cut])
+        assert len(list(read_journal(folder))) == len(ALL) - 1
+
+
+def test_damage_in_the_middle_names_file_and_line(tmp_path: Path) -> None:
+    folder = written(tmp_path / "run")
+    lines = (folder / NAME).read_bytes().splitlines(keepends=True)
+    lines[5] = b'{"kind": "PatchEst\n'
+    (folder / NAME).write_bytes(b"".join(lines))
+    with pytest.raises(InputError, match="line 6"):
+        list(read_journal(folder))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"dtype": "object"},
+        {"data": "not base64!"},
+        {"shape": [999]},
+    ],
+)
+def test_a_forged_array_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
+    folder = written(tmp_path / "run")
+    lines = (folder / NAME).read_bytes().splitlines()
+    line = json.loads(lines[6])
+    line["patch"]["probability"].update(change)
+    lines[6] = json.dumps(line).encode()
+    (folder / NAME).write_bytes(b"\n".join(lines) + b"\n")
+    with pytest.raises(InputError, match="Damaged fact PatchEstimated"):
+        list(read_journal(folder))
+
+
+def test_foreign_files_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no run journal"):
+        list(read_journal(tmp_path))
+    (tmp_path / NAME).write_text('{"program": "other"}\n')
+    with pytest.raises(InputError, match="not a Touchdown journal"):
+        list(read_journal(tmp_path))
+
+
+def test_an_existing_run_is_never_written_over(tmp_path: Path) -> None:
+    written(tmp_path / "run")
+    with pytest.raises(FileExistsError):
+        Journal(tmp_path / "run")

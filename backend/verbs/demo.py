@@ -1,0 +1,52 @@
+"""``touchdown demo``: stack three pieces headless and leave a report to look at."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from backend.core.facts import Fact, TrialFinished
+from backend.core.flow import Outcome
+from backend.runs.requests import StackRequest
+from backend.verbs.screen import Screen
+from backend.verbs.stack import narrate, trial_table
+
+NAME = "demo"
+HELP = "stack three pieces headless and leave an HTML report"
+SHOWN = (("pot", "short"), ("barrel", "long"), ("mushroom", "short"))
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments of this verb."""
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", default="output/demo", metavar="DIR", help="folder of the report")
+
+
+def run(args: argparse.Namespace, screen: Screen) -> int:
+    """Stack pot, barrel and mushroom; 0 if all three were placed."""
+    # Imported here so that `touchdown doctor` starts without torch.
+    from backend.assembly import SimulatedBenchChoice, simulated_session
+    from backend.experiments.report import write_report
+    from backend.session import Keep
+
+    out = Path(args.out)
+    runs: list[list[Fact]] = []
+    session = simulated_session(SimulatedBenchChoice(), keep=Keep(out / "runs"))
+    session.hub.subscribe(lambda fact: runs[-1].append(fact))
+    session.hub.subscribe(lambda fact: narrate(fact, screen))
+    try:
+        for piece, bottom in SHOWN:
+            runs.append([])
+            screen.say(f"{piece} on {bottom}")
+            session.run(StackRequest(piece=piece, bottoms=(bottom,), seed=args.seed))
+    finally:
+        session.close()
+    outlines = {b: session.catalogue.piece(b).face.polygon() for _, b in SHOWN}
+    report = out / "report.html"
+    write_report(report, runs, outlines)
+    ends = [fact for facts in runs for fact in facts if isinstance(fact, TrialFinished)]
+    screen.show(trial_table(ends))
+    screen.say(f"Report: {report}")
+    placed = sum(end.outcome is Outcome.PLACED for end in ends)
+    screen.result({"version": 1, "placed": placed, "trials": len(SHOWN), "report": str(report)})
+    return 0 if placed == len(SHOWN) else 1

@@ -1,0 +1,136 @@
+"""Train one model: a generator of epochs, with a state that resumes exactly."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import binary_cross_entropy_with_logits
+
+from backend.config.method import TrainingSettings
+from backend.dataset.rows import TrainingRows
+from backend.dataset.splits import Split, split_rows
+from backend.learning.features import columns, fit_normaliser
+from backend.learning.metrics import LEVEL, iou, point_accuracy
+from backend.learning.model import PatchNet, Shape, new_model
+
+
+@dataclass(frozen=True, slots=True)
+class EpochReport:
+    """One finished epoch; ``epoch`` counts from 1. Losses are mean BCE per point (nats)."""
+
+    epoch: int
+    epochs: int
+    train_loss: float
+    validation_loss: float
+    iou: float
+    point_accuracy: float
+    best_epoch: int
+
+
+def fingerprint(rows: TrainingRows) -> str:
+    """Return the SHA-256 of all inputs and targets, which names a training set."""
+    digest = hashlib.sha256(np.ascontiguousarray(rows.observation).tobytes())
+    digest.update(np.packbits(rows.patch).tobytes())
+    digest.update("\n".join(str(label.get("episode")) for label in rows.labels).encode())
+    return digest.hexdigest()
+
+
+class Trainer:
+    """Model, optimiser and data of one training.
+
+    The order of the samples depends on seed and epoch only, so that no generator state is needed to
+    resume. The weights kept are those of the epoch with the lowest validation loss.
+    """
+
+    def __init__(self, rows: TrainingRows, settings: TrainingSettings) -> None:
+        self.settings = settings
+        self.split: Split = split_rows(rows, settings.validation_share, settings.seed)
+        part = columns(settings.modality)
+        train = self.split.train
+        self._inputs = torch.from_numpy(np.ascontiguousarray(rows.observation[:, :, part]))
+        self._targets = torch.from_numpy(rows.patch.astype(np.float32))
+        inputs = part.stop - part.start
+        shape = Shape(inputs, settings.hidden, settings.layers, rows.patch.shape[1])
+        self.model: PatchNet = new_model(shape, settings.seed)
+        self.model.set_normaliser(fit_normaliser(rows.observation[train], settings.modality))
+        self.optimiser = torch.optim.Adam(self.model.parameters(), lr=settings.learning_rate)
+        self.base_rate = float(rows.patch[train].mean())
+        self.done = 0
+        self.best_epoch, self.best_loss = 0, float("inf")
+        self.best_state = self._weights()
+
+    def epochs(self, cancelled: Callable[[], bool] = lambda: False) -> Iterator[EpochReport]:
+        """Run the remaining epochs; stops without a report when ``cancelled`` says so."""
+        while self.done < self.settings.epochs:
+            train_loss = self._train_epoch(cancelled)
+            if train_loss is None:
+                return
+            self.done += 1
+            yield self._validate(train_loss)
+
+    def best_model(self) -> PatchNet:
+        """Return a model with the weights of the best epoch, in evaluation mode."""
+        model = PatchNet(self.model.shape)
+        model.load_state_dict(self.best_state)
+        return model.eval()
+
+    def _train_epoch(self, cancelled: Callable[[], bool]) -> float | None:
+        rng = np.random.default_rng([self.settings.seed, self.done])
+        order = torch.from_numpy(rng.permutation(self.split.train))
+        self.model.train()
+        total = 0.0
+        for batch in torch.split(order, self.settings.batch):
+            if cancelled():
+                return None
+            self.optimiser.zero_grad()
+            loss = bce(self.model(self._inputs[batch]), self._targets[batch])
+            loss.backward()  # type: ignore[no-untyped-call]
+            self.optimiser.step()
+            total += float(loss.detach()) * len(batch)
+        return total / len(order)
+
+    def _validate(self, train_loss: float) -> EpochReport:
+        held_out = torch.from_numpy(self.split.held_out)
+        logits = predict_logits(self.model.eval(), self._inputs[held_out])
+        targets = self._targets[held_out]
+        loss = float(bce(logits, targets))
+        if loss < self.best_loss:
+            self.best_epoch, self.best_loss, self.best_state = self.done, loss, self._weights()
+        predicted = torch.sigmoid(logits).numpy() > LEVEL
+        truth = targets.numpy() > LEVEL
+        return EpochReport(
+            self.done,
+            self.settings.epochs,
+            train_loss,
+            loss,
+            iou(predicted, truth),
+            point_accuracy(predicted, truth),
+            self.best_epoch,
+        )
+
+    def _weights(self) -> dict[str, Tensor]:
+        return {name: tensor.clone() for name, tensor in self.model.state_dict().items()}
+
+
+def bce(logits: Tensor, targets: Tensor) -> Tensor:
+    """Mean binary cross-entropy over samples and points, from logits (B, N)."""
+    return binary_cross_entropy_with_logits(logits, targets)
+
+
+def predict_logits(model: PatchNet, inputs: Tensor, batch: int = 512) -> Tensor:
+    """(n, N) logits of ``inputs`` (n, 20, inputs)."""
+    with torch.inference_mode():
+        return torch.cat([model(part) for part in torch.split(inputs, batch)])
+
+
+def predict(model: PatchNet, observation: NDArray[np.float32], part: slice) -> NDArray[np.float32]:
+    """(n, N) probabilities for ``observation`` (n, 20, 258), of which the model sees ``part``."""
+    inputs = torch.from_numpy(np.ascontiguousarray(observation[:, :, part]))
+    probability: NDArray[np.float32] = torch.sigmoid(predict_logits(model, inputs)).numpy()
+    return probability

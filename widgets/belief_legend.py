@@ -1,0 +1,84 @@
+"""What the marks on the belief map mean, each with its own shape."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtGui import QPainter, QPaintEvent, QPen
+from PySide6.QtWidgets import QSizePolicy, QWidget
+
+from widgets.theme import Theme, ui_font
+
+ENTRIES = (
+    ("plus", "centre of mass"),
+    ("line", "support hull, p > 0.9"),
+    ("dots", "face of the piece"),
+    ("arrow", "planned step"),
+    ("ring", "target"),
+)
+TRUTH = ("dashes", "true overlap")
+
+
+class BeliefLegend(QWidget):
+    """A wrapping row of mark and word."""
+
+    def __init__(self, theme: Theme) -> None:
+        super().__init__()
+        self._theme = theme
+        self._truth = False
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        self.setAccessibleName("Legend of the belief map")
+
+    def show_truth(self, shown: bool) -> None:
+        """Add or leave out the true overlap."""
+        if shown != self._truth:
+            self._truth = shown
+            self.update()
+
+    def sizeHint(self) -> QSize:
+        """Return two lines of text."""
+        return QSize(300, 2 * self._line())
+
+    def minimumSizeHint(self) -> QSize:
+        """Return the same as the size hint."""
+        return self.sizeHint()
+
+    def _line(self) -> int:
+        return self.fontMetrics().height() + 2
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw the entries, centred, in at most two rows."""
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        painter.setFont(ui_font(self._theme.scale, 0.88))
+        entries = (*ENTRIES, TRUTH) if self._truth else ENTRIES
+        metrics = painter.fontMetrics()
+        x, y, line = 0.0, 0.0, self._line()
+        for kind, text in entries:
+            width = 22 + metrics.horizontalAdvance(text) + 16
+            if x > 0 and x + width - 16 > self.width():
+                x, y = 0.0, y + line
+            painter.setPen(QPen(self._theme.tokens.colour("text"), 1.6))
+            _mark(painter, kind, QPointF(x + 9, y + line / 2))
+            painter.setPen(self._theme.tokens.colour("muted"))
+            box = QRectF(x + 22, y, width, line)
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignVCenter), text)
+            x += width
+
+
+def _mark(painter: QPainter, kind: str, at: QPointF) -> None:
+    left, right = at - QPointF(8, 0), at + QPointF(8, 0)
+    pen = painter.pen()
+    if kind == "plus":
+        painter.drawLine(at - QPointF(5, 0), at + QPointF(5, 0))
+        painter.drawLine(at - QPointF(0, 5), at + QPointF(0, 5))
+    elif kind == "ring":
+        painter.drawEllipse(at, 5, 5)
+    elif kind == "arrow":
+        painter.drawLine(left, right)
+        painter.drawLine(right, right + QPointF(-5, -4))
+        painter.drawLine(right, right + QPointF(-5, 4))
+    else:
+        styles = {"dots": Qt.PenStyle.DotLine, "dashes": Qt.PenStyle.DashLine}
+        pen.setStyle(styles.get(kind, Qt.PenStyle.SolidLine))
+        painter.setPen(pen)
+        painter.drawLine(left, right)

@@ -1,0 +1,89 @@
+"""One device in the top bar: state in colour and shape, measured rate, age, losses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtGui import QPainter, QPaintEvent, QPen
+from PySide6.QtWidgets import QSizePolicy, QWidget
+
+from widgets.state_pill import Colour, Shape, draw_shape
+from widgets.theme import Theme, ui_font
+
+ChipState = Literal["ready", "connecting", "stale", "fault", "closed"]
+_LOOK: dict[ChipState, tuple[Shape, Colour]] = {
+    "ready": ("disc", "green"),
+    "connecting": ("ring", "blue"),
+    "stale": ("triangle", "yellow"),
+    "fault": ("square", "red"),
+    "closed": ("ring", "grey"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ChipValue:
+    """``detail`` is the second line, such as "25.0 Hz, 12 ms"; ``lost`` samples so far."""
+
+    state: ChipState
+    detail: str
+    lost: int = 0
+    tip: str = ""
+
+
+class DeviceChip(QWidget):
+    """Two lines: name and figures, beside a state mark."""
+
+    def __init__(self, theme: Theme, name: str) -> None:
+        super().__init__()
+        self._theme, self._name = theme, name
+        self.value = ChipValue("closed", "no data")
+        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
+        self.setAccessibleName(f"{name}: closed")
+
+    def show_value(self, value: ChipValue) -> None:
+        """Show another value."""
+        if value == self.value:
+            return
+        self.value = value
+        self.setToolTip(value.tip)
+        self.setAccessibleName(f"{self._name}: {value.state}, {value.detail}")
+        self.update()
+
+    def sizeHint(self) -> QSize:
+        """Return room for the usual figures."""
+        self.setFont(ui_font(self._theme.scale, 0.86))
+        metrics = self.fontMetrics()
+        return QSize(metrics.horizontalAdvance("1000 Hz 00 ms") + 26, 2 * metrics.height() + 8)
+
+    def minimumSizeHint(self) -> QSize:
+        """Return room for the name and the rate."""
+        hint = self.sizeHint()
+        return QSize(self.fontMetrics().horizontalAdvance("Gripper0") + 26, hint.height())
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw mark, name and figures."""
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        t = self._theme.tokens
+        painter.setPen(QPen(t.colour("hairline"), 1))
+        painter.setBrush(t.colour("raised"))
+        painter.drawRoundedRect(QRectF(self.rect()).adjusted(0.5, 0.5, -0.5, -0.5), 6, 6)
+        shape, colour = _LOOK[self.value.state]
+        mark = t.colour("good") if colour == "green" else t.colour(f"pill_{colour}")
+        if colour in ("grey", "blue") or (colour == "yellow" and t.name == "light"):
+            mark = t.colour("muted" if colour == "grey" else "text")
+        draw_shape(painter, shape, QPointF(13, self.height() / 2), mark, 5)
+        middle, width = self.height() / 2, self.width() - 26
+        painter.setPen(t.colour("text"))
+        painter.setFont(ui_font(self._theme.scale, 0.86, 600))
+        painter.drawText(QRectF(22, 3, width, middle - 2), int(Qt.AlignmentFlag.AlignBottom),
+                         self._name)  # fmt: skip
+        painter.setPen(t.colour("muted"))
+        painter.setFont(ui_font(self._theme.scale, 0.8))
+        detail = painter.fontMetrics().elidedText(
+            self.value.detail, Qt.TextElideMode.ElideRight, int(width)
+        )
+        painter.drawText(QRectF(22, middle, width, middle - 3), int(Qt.AlignmentFlag.AlignTop),
+                         detail)  # fmt: skip

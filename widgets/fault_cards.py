@@ -1,0 +1,199 @@
+"""Cards under the top bar: what happened, its consequence, the next step. Latched until Reset."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QGuiApplication
+from PySide6.QtWidgets import (
+    QFrame,
+    QHBoxLayout,
+    QPlainTextEdit,
+    QPushButton,
+    QSizePolicy,
+    QVBoxLayout,
+    QWidget,
+)
+
+from widgets.panel import label
+
+MAX_CARDS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class CardText:
+    """One card. ``reset``: it belongs to the stop latch, only Reset removes it."""
+
+    code: str
+    what: str
+    consequence: str
+    next_step: str
+    details: str = ""
+    reset: bool = True
+    at: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A question asked without blocking anything: text and (label, action) per answer."""
+
+    text: str
+    answers: tuple[tuple[str, Callable[[], None]], ...]
+
+
+class FaultCard(QFrame):
+    """One card; the same code again only counts."""
+
+    def __init__(self, text: CardText, on_button: Callable[[CardText], None]) -> None:
+        super().__init__()
+        self.text, self.count = text, 1
+        self.setProperty("role", "fault")
+        self._title = label("", "head", wrap=True)
+        self._foot = label("", "small")
+        self._details = QPlainTextEdit(text.details or self._plain())
+        self._details.setReadOnly(True)
+        self._details.setAccessibleName("Details of the fault")
+        self._details.setMaximumHeight(140)
+        self._details.hide()
+        self._on_button = on_button
+        self._arrange()
+        self._show_count()
+
+    def again(self, text: CardText) -> None:
+        """Count a repetition and show the newest wording."""
+        self.text = text
+        self.count += 1
+        self._details.setPlainText(text.details or self._plain())
+        self._show_count()
+
+    def _show_count(self) -> None:
+        times = f" (\N{MULTIPLICATION SIGN}{self.count})" if self.count > 1 else ""
+        self._title.setText(self.text.what + times)
+        self._foot.setText(f"[{self.text.code}]  {self.text.at}")
+        self.setAccessibleName(self._plain())
+
+    def _plain(self) -> str:
+        t = self.text
+        return f"{t.what} {t.consequence} {t.next_step} [{t.code}]"
+
+    def _arrange(self) -> None:
+        words = QVBoxLayout()
+        words.setSpacing(2)
+        words.addWidget(self._title)
+        words.addWidget(label(f"{self.text.consequence} {self.text.next_step}".strip(), wrap=True))
+        words.addWidget(self._foot)
+        row = QHBoxLayout()
+        row.addLayout(words, 1)
+        row.addWidget(self._button("Details", self._toggle))
+        row.addWidget(self._button("Copy", self._copy))
+        last = "Reset" if self.text.reset else "Dismiss"
+        act = self._button(last, self._act)
+        if self.text.reset:
+            act.setProperty("role", "reset")
+            act.setToolTip("Clear the latched faults and the stop. Nothing moves by itself.")
+        row.addWidget(act)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(12, 8, 10, 8)
+        column.addLayout(row)
+        column.addWidget(self._details)
+
+    def _button(self, text: str, slot: Callable[[], None]) -> QPushButton:
+        button = QPushButton(text)
+        button.setAccessibleName(f"{text}: {self.text.what}")
+        button.clicked.connect(slot)
+        return button
+
+    def _toggle(self) -> None:
+        self._details.setVisible(self._details.isHidden())
+
+    def _copy(self) -> None:
+        QGuiApplication.clipboard().setText(f"{self._plain()}\n{self._details.toPlainText()}")
+
+    def _act(self) -> None:
+        self._on_button(self.text)
+
+
+class FaultCards(QWidget):
+    """The cards and at most one question; takes no room while there is none."""
+
+    def __init__(self, on_reset: Callable[[], None]) -> None:
+        super().__init__()
+        self._on_reset = on_reset
+        self._cards: dict[str, FaultCard] = {}
+        self._question: QFrame | None = None
+        self._column = QVBoxLayout(self)
+        self._column.setContentsMargins(10, 8, 10, 0)
+        self._column.setSpacing(6)
+        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
+        self.hide()
+
+    @property
+    def codes(self) -> tuple[str, ...]:
+        """Codes of the cards shown, oldest first."""
+        return tuple(self._cards)
+
+    def card(self, code: str) -> FaultCard:
+        """Return the card of ``code``; raises KeyError."""
+        return self._cards[code]
+
+    def show_card(self, text: CardText) -> None:
+        """Add a card, or count a repetition of the same code."""
+        if text.code in self._cards:
+            self._cards[text.code].again(text)
+            return
+        if len(self._cards) >= MAX_CARDS:
+            self._remove(next(iter(self._cards)))
+        card = FaultCard(text, self._pressed)
+        self._cards[text.code] = card
+        self._column.addWidget(card)
+        self.show()
+
+    def ask(self, question: Question) -> None:
+        """Show a question; the former one is withdrawn."""
+        self.withdraw()
+        frame = QFrame()
+        frame.setProperty("role", "question")
+        row = QHBoxLayout(frame)
+        row.addWidget(label(question.text, "title", wrap=True), 1)
+        for text, action in question.answers:
+            button = QPushButton(text)
+            button.setAccessibleName(f"{text}: {question.text}")
+            button.clicked.connect(self.withdraw)
+            button.clicked.connect(action, Qt.ConnectionType.QueuedConnection)
+            row.addWidget(button)
+        self._question = frame
+        self._column.insertWidget(0, frame)
+        self.show()
+
+    def withdraw(self) -> None:
+        """Remove the question."""
+        if self._question is not None:
+            self._question.hide()
+            self._question.deleteLater()
+            self._question = None
+        self._hide_if_empty()
+
+    def clear(self, codes: Sequence[str] | None = None) -> None:
+        """Remove the latched cards (or those of ``codes``)."""
+        for code, card in list(self._cards.items()):
+            if (codes is None and card.text.reset) or (codes is not None and code in codes):
+                self._remove(code)
+        self._hide_if_empty()
+
+    def _pressed(self, text: CardText) -> None:
+        if text.reset:
+            self._on_reset()
+        else:
+            self._remove(text.code)
+            self._hide_if_empty()
+
+    def _remove(self, code: str) -> None:
+        card = self._cards.pop(code)
+        self._column.removeWidget(card)
+        card.hide()
+        card.deleteLater()
+
+    def _hide_if_empty(self) -> None:
+        self.setVisible(bool(self._cards) or self._question is not None)

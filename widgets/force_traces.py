@@ -1,0 +1,202 @@
+"""Force and moment over the last 10 s: two plots, three axis colours, one time axis."""
+
+from __future__ import annotations
+
+import numpy as np
+from PySide6.QtCore import QPointF, QRectF, Qt
+from PySide6.QtGui import QPainter, QPaintEvent, QPen, QPixmap, QPolygonF, QResizeEvent
+from PySide6.QtWidgets import QSizePolicy, QWidget
+
+from backend.core.flow import FloatArray
+from widgets.freshness import Age
+from widgets.overlay import draw_message, draw_stale
+from widgets.plot_axes import PlotArea, nice_step, tick_text, ticks
+from widgets.theme import Theme, ui_font
+from widgets.trace_buckets import TraceBuckets
+
+AXES = ("x", "y", "z")
+LIMITS = (1.0, 2.0, 5.0)
+
+
+class TracePlot(QWidget):
+    """Three traces with one unit. The range grows in round steps and shrinks only on ``fit``."""
+
+    def __init__(self, theme: Theme, name: str, symbol: str, unit: str, limit: float) -> None:
+        super().__init__()
+        self._theme, self._name, self._symbol, self._unit = theme, name, symbol, unit
+        self._least = self.limit = limit
+        self.buckets = TraceBuckets(3, buckets=360)
+        self._age, self._age_s, self._reason = Age.NEVER, 0.0, ""
+        self._ground: QPixmap | None = None
+        self._ground_key: tuple[object, ...] = ()
+        self.paints = 0
+        self.points_drawn = 0
+        self.setAccessibleName(f"{name} traces")
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+        self.setMinimumSize(240, 90)
+        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
+
+    def add(self, t_s: FloatArray, values: FloatArray) -> None:
+        """Take samples: ``t_s`` (n,), ``values`` (n, 3)."""
+        self.buckets.add(t_s, values)
+        finite = values[np.isfinite(values)]
+        if len(finite):
+            self._grow(float(np.abs(finite).max()))
+        self.update()
+
+    def clear(self) -> None:
+        """Forget the samples."""
+        self.buckets.clear()
+        self._age = Age.NEVER
+        self.update()
+
+    def fit(self) -> None:
+        """Set the range to what is shown now."""
+        self.limit = self._least / 100
+        self._grow(max(self.buckets.largest(), self._least / 10))
+        self.update()
+
+    def show_age(self, age: Age, age_s: float, reason: str) -> None:
+        """Say how old the newest sample is."""
+        if age is Age.FRESH and self._age is Age.FRESH:
+            return
+        self._age, self._age_s, self._reason = age, age_s, reason
+        self.update()
+
+    def summary(self) -> str:
+        """Return the newest values in words, for screen readers."""
+        if self.buckets.empty:
+            return f"{self._name}: waiting for data"
+        parts = (f"{self._symbol}{a} {v:.2f}" for a, v in zip(AXES, self.buckets.last, strict=True))
+        return f"{', '.join(parts)} {self._unit}; largest {self.buckets.largest():.2f} in 10 s"
+
+    def _grow(self, magnitude: float) -> None:
+        while magnitude * 1.05 > self.limit:
+            self.limit = _next_limit(self.limit)
+
+    def resizeEvent(self, _event: QResizeEvent) -> None:
+        """Forget the drawn background."""
+        self._ground = None
+
+    def area(self) -> PlotArea:
+        """Return where the traces are drawn."""
+        em = self.fontMetrics().height()
+        rect = QRectF(3.4 * em, 0.6 * em, self.width() - 9.6 * em, self.height() - 2.0 * em)
+        return PlotArea(rect, -self.buckets.span_s, 0.0, -self.limit, self.limit)
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw the background from its copy, then the traces."""
+        self.paints += 1
+        painter = QPainter(self)
+        area = self.area()
+        painter.drawPixmap(0, 0, self._background(area))
+        if self.buckets.empty:
+            draw_message(painter, area.rect, self._theme, "Waiting for data", self._reason)
+            return
+        self._draw_traces(painter, area)
+        self._draw_end_labels(painter, area)
+        if self._age in (Age.STALE, Age.GONE):
+            draw_stale(painter, area.rect, self._theme, self._age_s)
+
+    def _draw_traces(self, painter: QPainter, area: PlotArea) -> None:
+        age_s, low, high = self.buckets.ordered()
+        painter.setClipRect(area.rect)
+        self.points_drawn = 0
+        for axis, name in enumerate(AXES):
+            painter.setPen(QPen(self._theme.tokens.colour(f"axis_{name}"), 1))
+            for line in _polylines(area, age_s, low[:, axis], high[:, axis]):
+                self.points_drawn = max(self.points_drawn, line.size())
+                painter.drawPolyline(line)
+        painter.setClipping(False)
+
+    def _draw_end_labels(self, painter: QPainter, area: PlotArea) -> None:
+        painter.setFont(ui_font(self._theme.scale, 0.92, 500))
+        height = painter.fontMetrics().height()
+        places = spread([area.y(v) for v in self.buckets.last], height,
+                        area.rect.top(), area.rect.bottom())  # fmt: skip
+        decimals = 1 if self.limit >= 5 else 3
+        for name, value, y in zip(AXES, self.buckets.last, places, strict=True):
+            painter.setPen(self._theme.tokens.colour(f"axis_{name}"))
+            text = f"{value:+.{decimals}f}".replace("-", "\N{MINUS SIGN}")
+            left = area.rect.right() + 8
+            box = QRectF(left, y - height / 2, self.width() - left - 2, height)
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignLeft), f"{self._symbol}{name}")
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), text)
+
+    def _background(self, area: PlotArea) -> QPixmap:
+        key = (self.size().toTuple(), self.limit, self._theme.tokens.name, self._theme.scale)
+        if self._ground is None or key != self._ground_key:
+            ratio = self.devicePixelRatioF()
+            self._ground = QPixmap(self.size() * ratio)
+            self._ground.setDevicePixelRatio(ratio)
+            self._ground_key = key
+            self._draw_background(QPainter(self._ground), area)
+        return self._ground
+
+    def _draw_background(self, painter: QPainter, area: PlotArea) -> None:
+        t, rect = self._theme.tokens, area.rect
+        painter.fillRect(self.rect(), t.colour("panel"))
+        painter.fillRect(rect, t.colour("bg"))
+        painter.setFont(ui_font(self._theme.scale, 0.85))
+        height = painter.fontMetrics().height()
+        step = nice_step(2 * self.limit, 4)
+        for value in ticks(-self.limit, self.limit, 4):
+            y = area.y(value)
+            painter.setPen(QPen(t.colour("border" if value == 0 else "grid"), 1))
+            painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
+            painter.setPen(t.colour("muted"))
+            box = QRectF(0, y - height / 2, rect.left() - 6, height)
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), tick_text(value, step))
+        for value in range(-int(self.buckets.span_s), 1, 2):
+            x = area.x(value)
+            painter.setPen(QPen(t.colour("grid"), 1))
+            painter.drawLine(QPointF(x, rect.top()), QPointF(x, rect.bottom()))
+            painter.setPen(t.colour("muted"))
+            box = QRectF(x - 30, rect.bottom() + 3, 60, height)
+            text = "now" if value == 0 else f"{tick_text(value, 1)} s"
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignHCenter), text)
+        painter.setPen(t.colour("muted"))
+        painter.setFont(ui_font(self._theme.scale, 0.85, 500))
+        painter.drawText(QRectF(rect.left() + 6, rect.top() + 3, 200, height + 2), 0,
+                         f"{self._name} ({self._unit})")  # fmt: skip
+        painter.end()
+
+
+def _next_limit(limit: float) -> float:
+    """Next of 1, 2, 5, 10 ... above ``limit``."""
+    power = 10.0 ** np.floor(np.log10(limit) + 1e-9)
+    for mantissa in (2.0, 5.0, 10.0):
+        if mantissa * power > limit * (1 + 1e-9):
+            return float(mantissa * power)
+    return limit * 2
+
+
+def _polylines(
+    area: PlotArea, age_s: FloatArray, low: FloatArray, high: FloatArray
+) -> list[QPolygonF]:
+    """One polyline per stretch without a gap; each bucket gives its low and its high point."""
+    good = np.isfinite(low)
+    edges = np.flatnonzero(np.diff(good.astype(np.int8), prepend=0, append=0))
+    lines = []
+    for start, end in edges.reshape(-1, 2).tolist():
+        y = np.stack([low[start:end], high[start:end]], axis=1).ravel()
+        y = np.clip(y, 2 * area.y0, 2 * area.y1)
+        lines.append(area.polygon(np.repeat(age_s[start:end], 2), y))
+    return lines
+
+
+def spread(wanted: list[float], gap: float, low: float, high: float) -> list[float]:
+    """Move labels apart so that neighbours are ``gap`` away and all stay within [low, high]."""
+    order = sorted(range(len(wanted)), key=lambda i: np.nan_to_num(wanted[i], nan=low))
+    placed = [min(max(float(np.nan_to_num(wanted[i], nan=low)), low), high) for i in order]
+    for k in range(1, len(placed)):
+        placed[k] = max(placed[k], placed[k - 1] + gap)
+    overshoot = placed[-1] - high
+    if overshoot > 0:
+        placed[-1] = high
+        for k in range(len(placed) - 2, -1, -1):
+            placed[k] = min(placed[k], placed[k + 1] - gap)
+    result = [0.0] * len(wanted)
+    for k, i in enumerate(order):
+        result[i] = placed[k]
+    return result

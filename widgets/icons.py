@@ -1,0 +1,26 @@
+"""The bundled line icons, drawn in a colour of the theme."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+from PySide6.QtCore import QByteArray, QRectF, Qt
+from PySide6.QtGui import QColor, QIcon, QPainter, QPixmap
+from PySide6.QtSvg import QSvgRenderer
+
+
+def icon(name: str, colour: QColor, size_px: int = 20) -> QIcon:
+    """Return icon ``name`` (a file in resources/icons) drawn in ``colour``."""
+    return QIcon(pixmap(name, colour, size_px * 2))
+
+
+def pixmap(name: str, colour: QColor, size_px: int) -> QPixmap:
+    """Return icon ``name`` as a square pixmap; raises FileNotFoundError for an unknown one."""
+    source = files("resources").joinpath("icons", f"{name}.svg").read_text(encoding="utf-8")
+    renderer = QSvgRenderer(QByteArray(source.replace("currentColor", colour.name()).encode()))
+    drawn = QPixmap(size_px, size_px)
+    drawn.fill(Qt.GlobalColor.transparent)
+    painter = QPainter(drawn)
+    renderer.render(painter, QRectF(0, 0, size_px, size_px))
+    painter.end()
+    return drawn

@@ -1,0 +1,55 @@
+"""A titled card: name on the left, live details on the right, the view below."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+
+
+class Panel(QFrame):
+    """Frame round one view. ``detail`` is the right-hand text of the header."""
+
+    def __init__(self, title: str, body: QWidget | None = None) -> None:
+        super().__init__()
+        self.setProperty("role", "card")
+        self.setAccessibleName(title)
+        self._title = label(title, "title")
+        self.detail = label("", "small")
+        self.detail.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        self.detail.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        header = QHBoxLayout()
+        header.addWidget(self._title)
+        header.addWidget(self.detail, 1)
+        self.header = header
+        self.column = QVBoxLayout(self)
+        self.column.setContentsMargins(10, 6, 10, 10)
+        self.column.setSpacing(6)
+        self.column.addLayout(header)
+        if body is not None:
+            self.column.addWidget(body, 1)
+
+
+def label(text: str, role: str = "", *, wrap: bool = False) -> QLabel:
+    """Return a plain-text label with a role of the style sheet."""
+    made = QLabel(text)
+    made.setTextFormat(Qt.TextFormat.PlainText)
+    made.setWordWrap(wrap)
+    if role:
+        made.setProperty("role", role)
+    return made
+
+
+def rule() -> QFrame:
+    """Return a thin horizontal line."""
+    line = QFrame()
+    line.setProperty("role", "rule")
+    return line
+
+
+def set_property(widget: QWidget, name: str, value: str) -> None:
+    """Set a style-sheet property and restyle, only if it changed."""
+    if widget.property(name) == value:
+        return
+    widget.setProperty(name, value)
+    widget.style().unpolish(widget)
+    widget.style().polish(widget)

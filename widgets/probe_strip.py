@@ -1,0 +1,127 @@
+"""The probes of a trial as small belief maps; a click looks back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from PySide6.QtCore import QRectF, QSize, Qt
+from PySide6.QtGui import QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
+from PySide6.QtWidgets import QHBoxLayout, QScrollArea, QSizePolicy, QVBoxLayout, QWidget
+
+from widgets.belief_scene import BeliefScene
+from widgets.belief_view import BeliefView, describe
+from widgets.overlay import draw_message
+from widgets.panel import label
+from widgets.theme import Theme
+
+SIDE_PX = 76
+
+
+class Thumbnail(QWidget):
+    """One probe: map and one line of text."""
+
+    def __init__(self, theme: Theme, index: int, on_click: Callable[[int], None]) -> None:
+        super().__init__()
+        self._theme, self.index, self._on_click = theme, index, on_click
+        self.chosen = False
+        self.view = BeliefView(theme, thumbnail=True)
+        self.view.setFixedSize(SIDE_PX, SIDE_PX)
+        self.view.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        self.caption = label("", "small")
+        column = QVBoxLayout(self)
+        column.setContentsMargins(4, 4, 4, 2)
+        column.setSpacing(1)
+        column.addWidget(self.view)
+        column.addWidget(self.caption, 0, Qt.AlignmentFlag.AlignHCenter)
+        self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.setCursor(Qt.CursorShape.PointingHandCursor)
+
+    def show_probe(self, scene: BeliefScene, caption: str) -> None:
+        """Show the state after this probe."""
+        self.view.show_scene(scene)
+        self.caption.setText(caption)
+        self.setAccessibleName(f"Probe {self.index + 1}: {describe(scene)}")
+        self.setToolTip(f"Probe {self.index + 1}: {caption}. Click to look back.")
+
+    def show_chosen(self, chosen: bool) -> None:
+        """Mark this as the one shown large."""
+        self.chosen = chosen
+        self.update()
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw the frame of the chosen or focused one."""
+        if self.chosen or self.hasFocus():
+            painter = QPainter(self)
+            token = "focus" if self.hasFocus() else "text"
+            painter.setPen(QPen(self._theme.tokens.colour(token), 2))
+            painter.drawRoundedRect(QRectF(self.rect()).adjusted(1, 1, -1, -1), 4, 4)
+
+    def mousePressEvent(self, _event: QMouseEvent) -> None:
+        """Choose this probe."""
+        self._on_click(self.index)
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Choose this probe by Return."""
+        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
+            self._on_click(self.index)
+        else:
+            super().keyPressEvent(event)
+
+
+class ProbeStrip(QWidget):
+    """A row of thumbnails, scrolled to the newest."""
+
+    def __init__(self, theme: Theme, on_choose: Callable[[int], None]) -> None:
+        super().__init__()
+        self._theme, self._on_choose = theme, on_choose
+        self.thumbnails: list[Thumbnail] = []
+        self._inner = QWidget()
+        self._row = QHBoxLayout(self._inner)
+        self._row.setContentsMargins(0, 0, 0, 0)
+        self._row.setSpacing(4)
+        self._row.addStretch(1)
+        self._scroll = QScrollArea()
+        self._scroll.setWidget(self._inner)
+        self._scroll.setWidgetResizable(True)
+        self._scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self._scroll.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.addWidget(self._scroll)
+        self._scroll.hide()
+        self.setAccessibleName("Probes of this trial")
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+
+    def sizeHint(self) -> QSize:
+        """Return room for one row and its scroll bar."""
+        return QSize(300, SIDE_PX + self.fontMetrics().height() + 24)
+
+    def minimumSizeHint(self) -> QSize:
+        """Return a low width: the strip scrolls."""
+        return QSize(120, self.sizeHint().height())
+
+    def show_probes(self, probes: list[tuple[BeliefScene, str]], chosen: int) -> None:
+        """Show these probes and mark one."""
+        while len(self.thumbnails) > len(probes):
+            gone = self.thumbnails.pop()
+            self._row.removeWidget(gone)
+            gone.hide()
+            gone.deleteLater()
+        while len(self.thumbnails) < len(probes):
+            fresh = Thumbnail(self._theme, len(self.thumbnails), self._on_choose)
+            self.thumbnails.append(fresh)
+            self._row.insertWidget(len(self.thumbnails) - 1, fresh)
+        for thumbnail, (scene, caption) in zip(self.thumbnails, probes, strict=True):
+            if thumbnail.view.scene is not scene:
+                thumbnail.show_probe(scene, caption)
+            thumbnail.show_chosen(thumbnail.index == chosen)
+        self._scroll.setVisible(bool(probes))
+        bar = self._scroll.horizontalScrollBar()
+        if chosen == len(probes) - 1:
+            bar.setValue(bar.maximum())
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Say that there is no probe yet."""
+        if not self.thumbnails:
+            draw_message(QPainter(self), self.rect(), self._theme, "No probes yet",
+                         "Each press adds a small map; click one to look back.")  # fmt: skip

@@ -1,0 +1,101 @@
+"""The state of the run: icon, word and colour, with one sentence beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtGui import (
+    QAccessible,
+    QAccessibleAnnouncementEvent,
+    QColor,
+    QPainter,
+    QPaintEvent,
+    QPen,
+    QPolygonF,
+)
+from PySide6.QtWidgets import QSizePolicy, QWidget
+
+from widgets.theme import Theme, ui_font
+
+Colour = Literal["grey", "blue", "green", "yellow", "red"]
+Shape = Literal["ring", "disc", "play", "bars", "square", "triangle", "diamond"]
+DARK_TEXT: frozenset[Colour] = frozenset({"green", "yellow"})
+
+
+@dataclass(frozen=True, slots=True)
+class PillState:
+    """What the pill shows; every state has its own word and icon shape."""
+
+    word: str
+    shape: Shape
+    colour: Colour
+
+
+class StatePill(QWidget):
+    """Filled rounded box with a shape and a word."""
+
+    def __init__(self, theme: Theme) -> None:
+        super().__init__()
+        self._theme = theme
+        self.state = PillState("NO DEVICES", "ring", "grey")
+        self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
+        self.setAccessibleName("State: NO DEVICES")
+
+    def show_state(self, state: PillState) -> None:
+        """Show another state and announce it to screen readers."""
+        if state == self.state:
+            return
+        self.state = state
+        self.setAccessibleName(f"State: {state.word}")
+        if QAccessible.isActive():
+            QAccessible.updateAccessibility(QAccessibleAnnouncementEvent(self, state.word))
+        self.updateGeometry()
+        self.update()
+
+    def sizeHint(self) -> QSize:
+        """Return room for the longest usual word, so that the bar does not jump."""
+        self.setFont(ui_font(self._theme.scale, 1.0, 600))
+        metrics = self.fontMetrics()
+        width = max(metrics.horizontalAdvance(w) for w in (self.state.word, "CANCELLING"))
+        return QSize(width + 52, max(34, metrics.height() + 14))
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw box, shape and word."""
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        t = self._theme.tokens
+        ink = t.colour("on_light" if self.state.colour in DARK_TEXT else "on_dark")
+        painter.setPen(QPen(t.colour("border"), 1))
+        painter.setBrush(t.colour(f"pill_{self.state.colour}"))
+        painter.drawRoundedRect(QRectF(self.rect()).adjusted(0.5, 0.5, -0.5, -0.5), 6, 6)
+        draw_shape(painter, self.state.shape, QPointF(20, self.height() / 2), ink)
+        painter.setPen(ink)
+        painter.setFont(ui_font(self._theme.scale, 1.0, 600))
+        box = QRectF(34, 0, self.width() - 40, self.height())
+        painter.drawText(box, int(Qt.AlignmentFlag.AlignVCenter), self.state.word)
+
+
+def draw_shape(painter: QPainter, shape: Shape, at: QPointF, ink: QColor, size: float = 6) -> None:
+    """Draw one state icon of half size ``size`` centred ``at``."""
+    painter.setPen(QPen(ink, 2))
+    painter.setBrush(ink)
+    x, y, s = at.x(), at.y(), size
+    if shape == "ring":
+        painter.setBrush(Qt.BrushStyle.NoBrush)
+        painter.drawEllipse(at, s - 1, s - 1)
+    elif shape == "disc":
+        painter.drawEllipse(at, s - 1.5, s - 1.5)
+    elif shape == "bars":
+        painter.drawRect(QRectF(x - s + 1, y - s + 1, 2, 2 * s - 2))
+        painter.drawRect(QRectF(x + s - 4, y - s + 1, 2, 2 * s - 2))
+    elif shape == "square":
+        painter.drawRect(QRectF(x - s + 1.5, y - s + 1.5, 2 * s - 3, 2 * s - 3))
+    else:
+        corners = {
+            "play": ((-s + 2, -s + 1), (-s + 2, s - 1), (s - 1, 0)),
+            "triangle": ((0, -s + 1), (s - 1, s - 2), (-s + 1, s - 2)),
+            "diamond": ((0, -s), (s, 0), (0, s), (-s, 0)),
+        }[shape]
+        painter.drawPolygon(QPolygonF([QPointF(x + dx, y + dy) for dx, dy in corners]))

@@ -1,0 +1,104 @@
+"""The one style sheet, written from the colour tokens. Sizes are in points of the base font."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+_SHEET = """
+* {{ outline: none; }}
+QWidget#frame, QMainWindow {{ background: {bg}; }}
+QToolTip {{ background: {raised}; color: {text}; border: 1px solid {border}; padding: 4px 6px; }}
+
+QFrame[role="bar"] {{ background: {panel}; border: none; border-bottom: 1px solid {hairline}; }}
+QFrame[role="foot"] {{ background: {panel}; border: none; border-top: 1px solid {hairline}; }}
+QFrame[role="rail"] {{ background: {panel}; border: none; border-right: 1px solid {hairline}; }}
+QFrame[role="card"] {{ background: {panel}; border: 1px solid {hairline}; border-radius: 6px; }}
+QFrame[role="rule"] {{ background: {hairline}; border: none; max-height: 1px; min-height: 1px; }}
+QFrame[role="chip"] {{ background: {raised}; border: 1px solid {hairline}; border-radius: 6px; }}
+QFrame[role="fault"] {{ background: {panel}; border: 1px solid {border};
+    border-left: 6px solid {pill_red}; border-radius: 4px; }}
+QFrame[role="question"] {{ background: {panel}; border: 1px solid {border};
+    border-left: 6px solid {pill_blue}; border-radius: 4px; }}
+
+QLabel {{ background: transparent; color: {text}; }}
+QLabel[role="title"] {{ font-weight: 600; }}
+QLabel[role="muted"] {{ color: {muted}; }}
+QLabel[role="small"] {{ color: {muted}; font-size: {small}pt; }}
+QLabel[role="head"] {{ font-size: {head}pt; font-weight: 600; }}
+QLabel[role="figure"] {{ font-size: {figure}pt; font-weight: 600; }}
+QLabel[tone="good"] {{ color: {good}; }}
+QLabel[tone="bad"] {{ color: {bad}; }}
+
+QPushButton, QToolButton {{ background: {raised}; color: {text}; border: 1px solid {border};
+    border-radius: 5px; padding: 5px 12px; min-height: 24px; font-weight: 500; }}
+QPushButton:hover, QToolButton:hover {{ background: {hover}; }}
+QPushButton:pressed, QToolButton:pressed {{ background: {panel}; }}
+QPushButton:disabled, QToolButton:disabled {{ color: {border}; border-color: {hairline};
+    background: {panel}; }}
+QPushButton:focus, QToolButton:focus, QComboBox:focus, QSpinBox:focus, QLineEdit:focus {{
+    border: 2px solid {focus}; }}
+QPushButton[role="primary"] {{ background: {text}; color: {panel}; border-color: {text};
+    font-weight: 600; min-height: 28px; }}
+QPushButton[role="primary"]:hover {{ background: {muted}; }}
+QPushButton[role="primary"]:focus {{ border: 2px solid {focus}; }}
+QPushButton[role="primary"]:disabled {{ background: {panel}; color: {border};
+    border-color: {hairline}; }}
+QPushButton[role="reset"] {{ background: {reset}; color: {on_dark}; border: 1px solid {border};
+    font-weight: 600; }}
+QPushButton[role="reset"]:hover {{ background: {selection}; color: {selection_text}; }}
+QPushButton[role="reset"]:focus {{ border: 2px solid {focus}; }}
+QPushButton[role="stop"] {{ background: {stop}; color: {on_dark}; border: 2px solid {text};
+    border-radius: 0; padding: 2px 14px; font-weight: 600; min-height: 32px; }}
+QPushButton[role="stop"]:hover {{ background: {pill_red}; }}
+QPushButton[role="stop"]:pressed {{ background: {on_light}; }}
+QToolButton[role="rail"] {{ background: transparent; border: none; border-radius: 6px;
+    padding: 6px 2px; color: {muted}; font-size: {small}pt; min-height: 40px; }}
+QToolButton[role="rail"]:hover {{ background: {raised}; color: {text}; }}
+QToolButton[role="rail"]:checked {{ background: {raised}; color: {text}; font-weight: 600;
+    border-left: 3px solid {focus}; border-radius: 3px; }}
+QToolButton[role="rail"]:focus {{ border: 2px solid {focus}; }}
+QToolButton[role="plain"] {{ background: transparent; border: 1px solid transparent;
+    padding: 2px 6px; min-height: 20px; color: {muted}; }}
+QToolButton[role="plain"]:hover {{ background: {raised}; color: {text}; }}
+QToolButton[role="plain"]:focus {{ border: 1px solid {focus}; }}
+
+QComboBox, QSpinBox, QLineEdit {{ background: {bg}; color: {text}; border: 1px solid {border};
+    border-radius: 5px; padding: 3px 8px; min-height: 24px; selection-background-color: {selection};
+    selection-color: {selection_text}; }}
+QComboBox:disabled, QSpinBox:disabled, QLineEdit:disabled {{ color: {muted};
+    border-color: {hairline}; background: {panel}; }}
+QComboBox::drop-down {{ border: none; width: 22px; }}
+QComboBox::down-arrow {{ image: url(icons:down-{name}.svg); width: 10px; height: 10px; }}
+QComboBox::down-arrow:disabled {{ image: none; }}
+QComboBox QAbstractItemView {{ background: {raised}; color: {text}; border: 1px solid {border};
+    selection-background-color: {selection}; selection-color: {selection_text}; }}
+QSpinBox::up-button, QSpinBox::down-button {{ border: none; width: 18px; background: transparent; }}
+QSpinBox::up-arrow {{ image: url(icons:up-{name}.svg); width: 9px; height: 9px; }}
+QSpinBox::down-arrow {{ image: url(icons:down-{name}.svg); width: 9px; height: 9px; }}
+
+QMenu {{ background: {raised}; color: {text}; border: 1px solid {border}; padding: 4px; }}
+QMenu::item {{ padding: 5px 24px 5px 12px; border-radius: 4px; }}
+QMenu::item:selected {{ background: {selection}; color: {selection_text}; }}
+QScrollArea, QScrollArea > QWidget > QWidget {{ background: transparent; border: none; }}
+QScrollBar:vertical {{ background: transparent; width: 10px; margin: 0; }}
+QScrollBar:horizontal {{ background: transparent; height: 10px; margin: 0; }}
+QScrollBar::handle {{ background: {border}; border-radius: 4px;
+    min-height: 24px; min-width: 24px; }}
+QScrollBar::add-line, QScrollBar::sub-line {{ width: 0; height: 0; }}
+QScrollBar::add-page, QScrollBar::sub-page {{ background: transparent; }}
+QListWidget, QPlainTextEdit, QTableWidget {{ background: {bg}; color: {text};
+    border: 1px solid {hairline}; border-radius: 5px; selection-background-color: {selection};
+    selection-color: {selection_text}; }}
+QListWidget:focus, QPlainTextEdit:focus {{ border: 2px solid {focus}; }}
+QListWidget::item {{ padding: 6px 8px; }}
+"""
+
+
+def style_sheet(tokens: Mapping[str, str], points: float) -> str:
+    """Return the style sheet for the tokens of a theme and the base font size in points."""
+    sizes = {
+        "small": f"{points * 0.9:.2f}",
+        "head": f"{points * 1.15:.2f}",
+        "figure": f"{points * 1.7:.2f}",
+    }
+    return _SHEET.format(**tokens, **sizes)

@@ -1,0 +1,141 @@
+"""One tactile image with marker arrows: the picture dimmed, arrows from the rest positions."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from PySide6.QtCore import QLineF, QPointF, QRectF, QSize, Qt
+from PySide6.QtGui import QColor, QFont, QImage, QPainter, QPaintEvent, QPen
+from PySide6.QtWidgets import QSizePolicy, QWidget
+
+from backend.core.flow import Finger, FloatArray, MarkerField, MarkerState, TactileFrame
+from widgets import arrows
+from widgets.freshness import Age
+from widgets.overlay import draw_message, draw_stale
+from widgets.theme import Theme, ui_font
+
+IMAGE_W, IMAGE_H = 320, 240
+
+
+class TactileView(QWidget):
+    """Shows the newest frame of one finger and its marker field."""
+
+    def __init__(self, theme: Theme, finger: Finger) -> None:
+        super().__init__()
+        self._theme = theme
+        self._frame: TactileFrame | None = None
+        self._image: QImage | None = None
+        self._field: MarkerField | None = None
+        self._age, self._age_s, self._reason = Age.NEVER, 0.0, ""
+        self.paints = 0
+        self.setAccessibleName(f"Tactile image, {finger} finger")
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+        self.setMinimumSize(160, 120)
+        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
+
+    def sizeHint(self) -> QSize:
+        """Return the image's own size."""
+        return QSize(IMAGE_W, IMAGE_H)
+
+    def show_frame(self, frame: TactileFrame, field: MarkerField | None) -> None:
+        """Show this frame and, if there is one, the newest marker field."""
+        height, width = frame.image.shape[:2]
+        image = np.ascontiguousarray(frame.image)
+        self._frame = frame
+        self._image = QImage(
+            image.data, width, height, 3 * width, QImage.Format.Format_BGR888
+        ).copy()
+        self._field = field
+        self.update()
+
+    def show_age(self, age: Age, age_s: float, reason: str) -> None:
+        """Say how old the picture is; beyond 2 s the picture is removed and ``reason`` shown."""
+        if age is Age.FRESH and self._age is Age.FRESH:
+            return
+        changed = age is not self._age or reason != self._reason
+        if changed or int(10 * age_s) != int(10 * self._age_s):
+            self._age, self._age_s, self._reason = age, age_s, reason
+            self.update()
+
+    def seen(self) -> tuple[int, int]:
+        """Return (markers seen, markers)."""
+        if self._field is None:
+            return 0, 0
+        return int((self._field.state == MarkerState.SEEN).sum()), len(self._field.state)
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw image, arrows, legend and age."""
+        self.paints += 1
+        painter = QPainter(self)
+        painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
+        if self._image is None or self._age in (Age.NEVER, Age.GONE):
+            text = "No camera yet" if self._image is None else "No live picture"
+            draw_message(painter, self.rect(), self._theme, text, self._reason)
+            return
+        target = self._target()
+        painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform)
+        painter.drawImage(target, self._image)
+        painter.fillRect(target, QColor(0, 0, 0, 77))
+        painter.save()
+        painter.setClipRect(target)
+        painter.translate(target.topLeft())
+        scale = target.width() / IMAGE_W
+        if self._field is not None:
+            _draw_markers(painter, self._field, scale)
+        _draw_legend(painter, target, scale, ui_font(self._theme.scale, 0.85))
+        painter.restore()
+        if self._age is Age.STALE:
+            draw_stale(painter, target, self._theme, self._age_s)
+
+    def _target(self) -> QRectF:
+        scale = min(self.width() / IMAGE_W, self.height() / IMAGE_H)
+        width, height = IMAGE_W * scale, IMAGE_H * scale
+        return QRectF((self.width() - width) / 2, (self.height() - height) / 2, width, height)
+
+
+def _draw_markers(painter: QPainter, field: MarkerField, scale: float) -> None:
+    both = field.position_px + field.displacement_px
+    finite: NDArray[np.bool_] = np.asarray(np.isfinite(both).all(axis=1), dtype=np.bool_)
+    rest = field.position_px - field.displacement_px
+    shown = finite & (field.state != MarkerState.LOST)
+    bins = arrows.bins_of(np.where(finite[:, None], field.displacement_px, 0.0))
+    strokes = arrows.segments(rest, field.displacement_px) * scale
+    for index, colour in enumerate(arrows.BIN_COLOURS):
+        chosen = strokes[shown & (bins == index)]
+        if len(chosen):
+            painter.setPen(QPen(QColor(colour), 2))
+            painter.drawLines(_lines(chosen))
+    _draw_uncertain(painter, field, rest * scale, finite)
+
+
+def _draw_uncertain(
+    painter: QPainter, field: MarkerField, rest: FloatArray, finite: NDArray[np.bool_]
+) -> None:
+    """Inferred markers: a hollow ring on the rest position; lost ones: a cross."""
+    painter.setPen(QPen(QColor("#FFFFFF"), 1))
+    painter.setBrush(Qt.BrushStyle.NoBrush)
+    for x, y in rest[finite & (field.state == MarkerState.INFERRED)].tolist():
+        painter.drawEllipse(QPointF(x, y), 5, 5)
+    for x, y in rest[finite & (field.state == MarkerState.LOST)].tolist():
+        painter.drawLine(QPointF(x - 4, y - 4), QPointF(x + 4, y + 4))
+        painter.drawLine(QPointF(x - 4, y + 4), QPointF(x + 4, y - 4))
+
+
+def _lines(strokes: FloatArray) -> list[QLineF]:
+    return [QLineF(*line) for line in strokes.reshape(-1, 4).tolist()]
+
+
+def _draw_legend(painter: QPainter, target: QRectF, scale: float, font: QFont) -> None:
+    length = arrows.GAIN / arrows.MM_PER_PX
+    end = np.array([[(target.width() - 12) / scale, (target.height() - 12) / scale]])
+    start = end - np.array([[length, 0.0]])
+    box = QRectF(start[0, 0] * scale - 40, end[0, 1] * scale - 11, length * scale + 48, 22)
+    painter.fillRect(box, QColor(0, 0, 0, 150))
+    painter.setPen(QPen(QColor("#FFFFFF"), 2))
+    stroke = arrows.segments(start, (end - start) / arrows.GAIN) * scale
+    painter.drawLines(_lines(stroke))
+    painter.setFont(font)
+    painter.drawText(
+        box.adjusted(6, 0, 0, 0), int(Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignLeft),
+        "1 mm",
+    )  # fmt: skip

@@ -1,0 +1,166 @@
+"""Colour tokens, palettes and the only style sheet; dark, light and high contrast.
+
+Values and contrast limits: WCAG 2, text at least 4.5 : 1, control borders and focus at least 3 : 1.
+Every widget takes its colours from here, so that one call switches all of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from importlib.resources import files
+from typing import Literal
+
+from PySide6.QtCore import QDir
+from PySide6.QtGui import QColor, QFont, QFontDatabase, QPalette
+from PySide6.QtWidgets import QApplication
+
+from widgets.style_sheet import style_sheet
+
+ThemeName = Literal["dark", "light", "contrast"]
+THEMES: tuple[ThemeName, ...] = ("dark", "light", "contrast")
+BASE_POINTS = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Tokens:
+    """Colours of one theme as ``#rrggbb``; state and action colours are equal in all themes."""
+
+    name: ThemeName
+    bg: str
+    panel: str
+    raised: str
+    hover: str
+    text: str
+    muted: str
+    border: str
+    hairline: str
+    grid: str
+    focus: str
+    selection: str
+    selection_text: str
+    axis_x: str
+    axis_y: str
+    axis_z: str
+    good: str
+    bad: str
+    pill_grey: str = "#5A6570"
+    pill_blue: str = "#1565C0"
+    pill_green: str = "#57C785"
+    pill_yellow: str = "#F9C800"
+    pill_red: str = "#B3261E"
+    on_light: str = "#14181C"
+    on_dark: str = "#FFFFFF"
+    stop: str = "#C62828"
+    reset: str = "#1565C0"
+
+    def colour(self, token: str) -> QColor:
+        """Return the colour of a token by name; raises AttributeError for an unknown one."""
+        return QColor(getattr(self, token))
+
+    def as_dict(self) -> dict[str, str]:
+        """Return all tokens by name."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+
+DARK = Tokens(
+    name="dark", bg="#14181C", panel="#1C2127", raised="#262D35", hover="#303943",
+    text="#E3E8ED", muted="#A3AEBA", border="#7A8794", hairline="#2E363F", grid="#2A323A",
+    focus="#7CC4FF", selection="#1F6FB2", selection_text="#FFFFFF",
+    axis_x="#4FA8FF", axis_y="#F0E442", axis_z="#FF6E5E", good="#57C785", bad="#FF8A80",
+)  # fmt: skip
+LIGHT = Tokens(
+    name="light", bg="#FFFFFF", panel="#F2F4F6", raised="#FFFFFF", hover="#E6EAEE",
+    text="#1B2127", muted="#55606B", border="#76818C", hairline="#D5DBE0", grid="#E2E7EB",
+    focus="#0B5CAD", selection="#1F6FB2", selection_text="#FFFFFF",
+    axis_x="#005FCC", axis_y="#C04A00", axis_z="#3A0D3F", good="#1B6E3C", bad="#B3261E",
+)  # fmt: skip
+CONTRAST = Tokens(
+    name="contrast", bg="#000000", panel="#000000", raised="#000000", hover="#2B2B2B",
+    text="#FFFFFF", muted="#FFFFFF", border="#FFFFFF", hairline="#FFFFFF", grid="#4A4A4A",
+    focus="#FFFF00", selection="#FFFF00", selection_text="#000000",
+    axis_x="#00C8FF", axis_y="#FFFF00", axis_z="#FF8A7A", good="#57C785", bad="#FF8A80",
+)  # fmt: skip
+_BY_NAME: dict[ThemeName, Tokens] = {"dark": DARK, "light": LIGHT, "contrast": CONTRAST}
+
+
+def tokens_of(name: ThemeName) -> Tokens:
+    """Return the tokens of a theme."""
+    return _BY_NAME[name]
+
+
+class Theme:
+    """The tokens in force. Widgets hold it and read ``theme.tokens`` whenever they paint."""
+
+    def __init__(self, name: ThemeName = "dark", scale: float = 1.0) -> None:
+        self.tokens = tokens_of(name)
+        self.scale = scale
+
+    def apply(self, application: QApplication, name: ThemeName, scale: float) -> None:
+        """Switch the whole application to a theme and font scale (0.8 to 2)."""
+        self.tokens = tokens_of(name)
+        self.scale = min(max(scale, 0.8), 2.0)
+        application.setStyle("Fusion")
+        application.setFont(ui_font(self.scale))
+        application.setPalette(_palette(self.tokens))
+        application.setStyleSheet(style_sheet(self.tokens.as_dict(), BASE_POINTS * self.scale))
+        for widget in application.allWidgets():
+            widget.update()
+
+
+def load_resources() -> None:
+    """Register the bundled interface font and icons with Qt (equal looks on every machine)."""
+    resources = files("resources")
+    for style in ("Regular", "Medium", "SemiBold"):
+        data = resources.joinpath("fonts", f"Inter-{style}.otf").read_bytes()
+        QFontDatabase.addApplicationFontFromData(data)
+    QDir.addSearchPath("icons", str(resources.joinpath("icons")))
+
+
+def ui_font(scale: float = 1.0, size: float = 1.0, weight: int = 400) -> QFont:
+    """Return the interface font; ``size`` is a multiple of the base, digits have equal widths."""
+    font = QFont(["Inter", "DejaVu Sans"])
+    font.setPointSizeF(BASE_POINTS * scale * size)
+    font.setWeight(QFont.Weight(weight))
+    font.setFeature(QFont.Tag("tnum"), 1)
+    return font
+
+
+def _palette(t: Tokens) -> QPalette:
+    palette = QPalette()
+    role = QPalette.ColorRole
+    for key, colour in (
+        (role.Window, t.panel), (role.Base, t.bg), (role.AlternateBase, t.panel),
+        (role.Button, t.raised), (role.Text, t.text), (role.WindowText, t.text),
+        (role.ButtonText, t.text), (role.ToolTipBase, t.raised), (role.ToolTipText, t.text),
+        (role.Highlight, t.selection), (role.HighlightedText, t.selection_text),
+        (role.PlaceholderText, t.muted), (role.Link, t.focus), (role.Mid, t.border),
+        (role.BrightText, t.text), (role.Light, t.raised), (role.Dark, t.border),
+    ):  # fmt: skip
+        palette.setColor(key, QColor(colour))
+    disabled = QPalette.ColorGroup.Disabled
+    for key in (role.Text, role.WindowText, role.ButtonText):
+        palette.setColor(disabled, key, QColor(t.border))
+    return palette
+
+
+def blend(under: QColor, over: QColor, share: float) -> QColor:
+    """Mix two opaque colours; ``share`` of ``over`` in 0..1."""
+    return QColor.fromRgbF(
+        under.redF() + share * (over.redF() - under.redF()),
+        under.greenF() + share * (over.greenF() - under.greenF()),
+        under.blueF() + share * (over.blueF() - under.blueF()),
+    )
+
+
+def contrast_ratio(one: QColor, other: QColor) -> float:
+    """Contrast ratio of WCAG 2 (1 to 21) of two opaque colours."""
+    lighter, darker = sorted((_luminance(one), _luminance(other)), reverse=True)
+    return (lighter + 0.05) / (darker + 0.05)
+
+
+def _luminance(colour: QColor) -> float:
+    linear = [
+        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4
+        for c in (colour.redF(), colour.greenF(), colour.blueF())
+    ]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]

@@ -1,0 +1,60 @@
+# Every target does its own set-up; `make help` lists them.
+# Choose an interpreter with `make setup PYTHON=python3.12`.
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+.PHONY: help setup run demo test check lint types contracts format bench screens models clean
+
+export PYTHON
+BIN := .venv/bin
+TESTS ?= tests
+WORKERS ?= 2
+
+help: ## list the targets
+	@awk -F':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+setup: ## make .venv ready (quick when nothing changed)
+	@.ci/setup.sh
+
+run: setup ## open the window on the simulated bench
+	@if [ "$$(uname)" = Linux ] && [ -z "$${DISPLAY:-}$${WAYLAND_DISPLAY:-}$${QT_QPA_PLATFORM:-}" ]; then \
+	    echo "There is no display here, so no window can open."; \
+	    echo "Without a screen the same run works as:  make demo"; \
+	    exit 1; \
+	fi
+	@$(BIN)/touchdown app
+
+demo: setup ## stack three pieces without a screen and leave a report
+	@$(BIN)/python -m backend.verbs.demo
+
+test: setup ## all tests: offscreen, no hardware, no network
+	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/pytest $(TESTS) -q -n $(WORKERS) --dist loadfile
+
+check: lint types contracts test ## what continuous integration runs
+
+lint: setup ## formatting and lint
+	@$(BIN)/ruff format --check .
+	@$(BIN)/ruff check .
+
+types: setup ## mypy --strict
+	@$(BIN)/mypy
+
+contracts: setup ## who may import whom
+	@$(BIN)/lint-imports
+
+format: setup ## rewrite the sources in the house style
+	@$(BIN)/ruff check --fix-only --quiet .
+	@$(BIN)/ruff format .
+
+bench: setup ## every promised figure next to its target
+	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.bench.run
+
+screens: setup ## rewrite the screenshots in docs/img
+	@QT_QPA_PLATFORM=offscreen $(BIN)/python -m app.screens
+
+models: setup ## train the models that ship, from nothing
+	@$(BIN)/python -m backend.experiments.models
+
+clean: ## remove what the other targets made (not the data)
+	@rm -rf .venv build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	@find . -name __pycache__ -type d -prune -exec rm -rf {} +

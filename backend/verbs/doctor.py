@@ -1,0 +1,77 @@
+"""``touchdown doctor``: check this computer and name the fix for what is missing."""
+
+from __future__ import annotations
+
+import argparse
+
+from rich.markup import escape
+from rich.table import Table
+
+from backend.verbs import check_machine, check_packages
+from backend.verbs.check import Check, Examine
+from backend.verbs.screen import Screen
+
+NAME = "doctor"
+HELP = "check this computer, each finding with its fix"
+
+EXAMINATIONS: tuple[Examine, ...] = (
+    check_packages.check_python,
+    check_packages.check_qt_versions,
+    check_packages.check_qt_libraries,
+    check_packages.check_qt_platform,
+    check_machine.check_display,
+    check_packages.check_opencv,
+    check_packages.check_torch,
+    check_packages.check_others,
+    check_packages.check_mujoco,
+    check_machine.check_processors,
+    check_machine.check_cameras,
+    check_machine.check_serial_ports,
+    check_machine.check_data_folder,
+    check_machine.check_disk,
+    check_machine.check_models,
+)
+
+COLOURS = {"OK": "green", "NOTE": "yellow", "FAIL": "bold red"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare no arguments of its own."""
+
+
+def run(args: argparse.Namespace, screen: Screen) -> int:
+    """Print all findings; returns 1 if one of them stops Touchdown from working."""
+    with screen.progress("Examining", len(EXAMINATIONS)) as advance:
+        checks = []
+        for look in EXAMINATIONS:
+            checks.append(_examine(look))
+            advance(len(checks), checks[-1].name)
+    screen.show(findings(checks))
+    failed = [check for check in checks if not check.ok]
+    screen.say("Everything that is needed is here." if not failed else f"{len(failed)} to fix.")
+    screen.result(
+        {"checks": [{"name": c.name, "ok": c.ok, "detail": c.detail, "fix": c.fix} for c in checks]}
+    )
+    return 1 if failed else 0
+
+
+def findings(checks: list[Check]) -> Table:
+    """Return the table for people."""
+    table = Table(title="touchdown doctor", show_lines=False)
+    for column in ("", "check", "found", "what to do"):
+        table.add_column(column, overflow="fold")
+    for check in checks:
+        colour = COLOURS[check.word]
+        table.add_row(
+            f"[{colour}]{check.word}[/]", check.name, escape(check.detail), escape(check.fix)
+        )
+    return table
+
+
+def _examine(look: Examine) -> Check:
+    name = look.__name__.removeprefix("check_").replace("_", " ")
+    try:
+        return look()
+    except ImportError as error:
+        # A damaged installation is what doctor is for: it must not end there.
+        return Check(name, False, f"cannot be examined: {error}", "make setup")

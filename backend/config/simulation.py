@@ -1,0 +1,203 @@
+"""Everything the simulated bench can be told: physics, sensors, spreads, and named presets.
+
+Defaults are those of preset ``mixed``. Values marked [U] are unconfirmed estimates.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, TypeAlias
+
+from pydantic import Field, model_validator
+
+from backend.config.method import NonNegative, Positive, Settings
+
+Share = Annotated[float, Field(ge=0, le=1)]
+Preset: TypeAlias = Literal["mixed", "quiet", "hard", "off"]
+
+
+class GraspSettings(Settings):
+    """Compliant grasp of two fingers."""
+
+    shear_n_mm: Positive = 4.0
+    """Shear stiffness of one gel, x and z [U]."""
+    normal_n_mm: Positive = 10.0
+    """Normal stiffness of one gel [U]."""
+    torsion_nmm_rad: Positive = 128.0
+    """Torsional stiffness of one gel about the jaw axis, N·mm/rad [U]."""
+    limit_radius_mm: Positive = 3.8
+    """Lever of the frictional torque of one pad (limit surface)."""
+    slip: bool = True
+    """Pads slip when the limit surface is reached; slip stays until the next grip."""
+    hysteresis: bool = False
+    """One Maxwell branch per gel spring."""
+    hysteresis_share: Share = 0.1
+    """Stiffness of the Maxwell branch relative to the spring [U]."""
+    hysteresis_s: Positive = 0.5
+    """Relaxation time of the Maxwell branch [U]."""
+
+
+class FaceSettings(Settings):
+    """Contact of the two faces."""
+
+    foundation_n_mm3: Positive = 20.0
+    """Normal stiffness of the elastic foundation [U]: a nuisance parameter, not a detail."""
+    foundation_range_n_mm3: tuple[Positive, Positive] | None = None
+    """If set, drawn log-uniformly per mounting instead."""
+    tangential_n_mm3: Positive = 16.0
+    """Tangential stiffness before sliding [U]."""
+    lattice_mm: Positive = 1.0
+
+
+class TactileSettings(Settings):
+    """The two finger cameras."""
+
+    mm_per_px: tuple[Positive, Positive] = (0.058, 0.058)
+    """Image scale of left and right sensor; public values 0.058 to 0.071."""
+    pitch_mm: Positive = 1.9
+    """Marker pitch of the 7x9 large-dot gel."""
+    roll_off_mm: tuple[Positive, Positive] = (7.0, 6.0)
+    """Where the strain rolls off outside the gripped patch, along x and z [U]."""
+    dilation: NonNegative = 0.01
+    """Growth of the field with the pad force [U]."""
+    rate_hz: Positive = 25.0
+    jitter_s: NonNegative = 0.005
+    """Frame times are uniform within this of the regular grid."""
+    drop_share: Share = 0.005
+    white_px: NonNegative = 0.05
+    """White noise per frame, marker and axis, tracker included (batch)."""
+    bias_px: NonNegative = 0.15
+    """Reference error per probe, finger and axis; standard deviation."""
+    drift_px_sqrt_s: NonNegative = 0.02
+    """Random walk of the whole field per finger and axis."""
+    lost_share: Share = 0.001
+    """Share of lost marker-frames."""
+    lost_frames: Annotated[int, Field(ge=1)] = 10
+    """Losses last 1 to this many frames, uniformly."""
+    border_px: NonNegative = 3.0
+    """A marker centre nearer to the image border than this is not seen (batch)."""
+
+
+class WristSettings(Settings):
+    """Force/torque sensor and what hangs below it."""
+
+    rate_hz: Positive = 1000.0
+    height_mm: Positive = 120.0
+    """Sensor above the grasp pivot."""
+    yaw_rad: float = 0.0
+    """Sensor turned against the gripper."""
+    payload_kg: NonNegative = 1.5
+    """Gripper and fingers."""
+    payload_com_mm: tuple[float, float, float] = (0.0, 0.0, 60.0)
+    """Their centre of mass relative to the grasp pivot [U]."""
+    white_n: NonNegative = 0.1
+    white_nm: NonNegative = 0.004
+    offset_n: NonNegative = 0.2
+    """Slow offset after tare per probe; standard deviation."""
+    offset_nm: NonNegative = 0.008
+    drift_n_sqrt_min: NonNegative = 0.01
+    drift_nm_sqrt_min: NonNegative = 0.0004
+
+
+class SpreadSettings(Settings):
+    """Standard deviations of the nuisances that are drawn anew per mounting, gripping or probe."""
+
+    gel: NonNegative = 0.10
+    mu_grip: NonNegative = 0.10
+    grip_force_n: NonNegative = 0.3
+    grasp_offset_mm: NonNegative = 0.5
+    yaw_rad: NonNegative = 0.0175
+    """In-hand rotation about the vertical, 1 degree."""
+    gain: NonNegative = 0.05
+    mu: NonNegative = 0.15
+    label_error_mm: NonNegative = 0.05
+    tilt_rad: NonNegative = 0.004
+    print_offset_mm: NonNegative = 0.1
+
+
+class SimulationSettings(Settings):
+    """The simulated bench; ``preset`` gives the defaults, every other key overrides it."""
+
+    preset: Preset = "mixed"
+    cycle_us: Annotated[int, Field(gt=0)] = 10_000
+    mu: Positive = 0.40
+    """Mean face friction."""
+    mu_grip: Positive = 0.80
+    """Mean friction of gel on piece [U]."""
+    release_disturbance_mm: NonNegative = 0.0
+    """Shift of the centre of mass by opening fingers (sd); 0.5 is called realistic."""
+    grasp: GraspSettings = GraspSettings()
+    face: FaceSettings = FaceSettings()
+    tactile: TactileSettings = TactileSettings()
+    wrist: WristSettings = WristSettings()
+    spread: SpreadSettings = SpreadSettings()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _start_from_preset(cls, given: Any) -> Any:
+        """Lay the given keys over those of the named preset."""
+        if not isinstance(given, dict):
+            return given
+        preset = PRESETS.get(str(given.get("preset", "mixed")))
+        return given if preset is None else _overlay(preset, given)
+
+
+REALISTIC_DISTURBANCE_MM = 0.5
+"""``release_disturbance_mm`` of the named release preset `realistic`."""
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "mixed": {},
+    "quiet": {
+        "tactile": {
+            "white_px": 0.2,
+            "bias_px": 0.3,
+            "drift_px_sqrt_s": 0.0,
+            "lost_share": 0.0,
+        },
+        "wrist": {
+            "white_n": 0.05,
+            "white_nm": 0.002,
+            "offset_n": 0.05,
+            "offset_nm": 0.002,
+            "drift_n_sqrt_min": 0.0,
+            "drift_nm_sqrt_min": 0.0,
+        },
+        "spread": {"label_error_mm": 0.0, "print_offset_mm": 0.0},
+    },
+    "hard": {
+        "mu_grip": 0.45,
+        "face": {"foundation_range_n_mm3": (5.0, 50.0)},
+        "spread": {"grasp_offset_mm": 1.0, "tilt_rad": 0.01},
+    },
+    "off": {
+        "tactile": {
+            "jitter_s": 0.0,
+            "drop_share": 0.0,
+            "white_px": 0.0,
+            "bias_px": 0.0,
+            "drift_px_sqrt_s": 0.0,
+            "lost_share": 0.0,
+        },
+        "wrist": {
+            "white_n": 0.0,
+            "white_nm": 0.0,
+            "offset_n": 0.0,
+            "offset_nm": 0.0,
+            "drift_n_sqrt_min": 0.0,
+            "drift_nm_sqrt_min": 0.0,
+        },
+        "spread": dict.fromkeys(SpreadSettings.model_fields, 0.0),
+    },
+}
+
+
+def _overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in top.items():
+        below = merged.get(key)
+        if isinstance(below, dict) and isinstance(value, dict):
+            merged[key] = {**below, **value}
+        elif isinstance(below, dict) and isinstance(value, Settings):
+            merged[key] = {**below, **value.model_dump(exclude_unset=True)}
+        else:
+            merged[key] = value
+    return merged

@@ -1,0 +1,172 @@
+"""Quasi-static equilibrium of a held piece pressed on a bottom, batched over probes.
+
+Source: bench reference 3.7. One call of ``advance`` is one time step: Newton with step halving per
+probe, grip slip by return mapping round it, then the slider anchors move.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.core.flow import FloatArray
+from backend.simulation import contact, grasp
+from backend.simulation.conditions import Conditions
+from backend.simulation.equilibrium import balance
+
+SLIP_TOLERANCE = 1e-5
+SLIP_PASSES = 200
+RESIDUAL_LIMIT = 1e-4
+"""Largest scaled residual (N, moments divided by 20 mm) of a usable step."""
+
+
+class Region(Protocol):
+    """A flat outline (``backend.objects.shapes.Outline`` is one)."""
+
+    def contains(self, points_mm: FloatArray, /) -> NDArray[np.bool_]:
+        """Return which points (..., 2) lie inside."""
+
+
+@dataclass(frozen=True, slots=True)
+class ContactState:
+    """What B probes carry from one time step to the next.
+
+    ``q`` (B, 6) mm and rad; ``slip`` (B, 2, 3); ``anchor`` (2, B, n); ``relaxed`` (B, 2, 4);
+    ``residual`` (B,): worst of the probe so far.
+    """
+
+    cells: contact.Cells
+    conditions: Conditions
+    q: FloatArray
+    slip: FloatArray
+    anchor: FloatArray
+    relaxed: FloatArray
+    residual: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """Equilibrium of B probes.
+
+    ``q`` (B, 6); ``wrench_g`` (B, 6): contact forces on the piece, N and N·mm at the pivot ``G``;
+    ``strain`` (B, 2, 3): elastic gel strain (mm, mm, rad); ``normal_n`` (B, 2): pad forces;
+    ``slip`` (B, 2, 3); ``residual`` (B,) scaled; ``cop_mm`` (B, 2) centre of pressure in ``F``
+    (NaN in air); ``pressing_n`` (B,) = Fz.
+    """
+
+    q: FloatArray
+    wrench_g: FloatArray
+    strain: FloatArray
+    normal_n: FloatArray
+    slip: FloatArray
+    residual: FloatArray
+    cop_mm: FloatArray
+
+    @property
+    def pressing_n(self) -> FloatArray:
+        """(B,) press force in N."""
+        return np.asarray(self.wrench_g[:, 2], dtype=np.float64)
+
+
+def begin(
+    face_points_mm: FloatArray,
+    outline: Region,
+    offset_mm: FloatArray,
+    conditions: Conditions,
+    previous: ContactState | None = None,
+    pitch_mm: float = 1.0,
+) -> ContactState:
+    """Start B probes at the true displacements ``offset_mm`` (B, 2) above one bottom ``outline``.
+
+    ``face_points_mm`` (N, 2): lattice of ``pitch_mm`` on the face, in ``F``. From ``previous``
+    (same gripping) grip slip and gel state are kept; the slider anchors start afresh.
+    """
+    cos, sin = np.cos(conditions.yaw_rad)[:, None], np.sin(conditions.yaw_rad)[:, None]
+    s_x = cos * face_points_mm[:, 0] - sin * face_points_mm[:, 1]
+    s_y = sin * face_points_mm[:, 0] + cos * face_points_mm[:, 1]
+    s = np.stack([s_x, s_y], axis=-1)
+    packed, exists = contact.pack(s, outline.contains(s + offset_mm[:, None, :]))
+    x = packed[..., 0] - conditions.grasp_offset_mm[:, :1]
+    y = packed[..., 1]
+    tilt = conditions.tilt_rad
+    gap = tilt[:, 1:] * packed[..., 0] - tilt[:, :1] * packed[..., 1]
+    gap -= np.where(exists, gap, -np.inf).max(axis=1, initial=-1e9)[:, None]
+    area = np.where(exists, pitch_mm**2, 0.0)
+    cells = contact.Cells(
+        x=x,
+        y=y,
+        gap_mm=gap,
+        normal=conditions.foundation_n_mm3[:, None] * area,
+        tangential=conditions.tangential_n_mm3[:, None] * area,
+        basis=np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1),
+        r_z=-(conditions.grip_height_mm + conditions.grasp_offset_mm[:, 1]),
+        mu=conditions.mu[:, None],
+        count=exists.sum(axis=1),
+    )
+    count = conditions.count
+    return ContactState(
+        cells=cells,
+        conditions=conditions,
+        q=np.zeros((count, 6)) if previous is None else previous.q,
+        slip=np.zeros((count, 2, 3)) if previous is None else previous.slip,
+        anchor=np.zeros((2, *x.shape)),
+        relaxed=np.zeros((count, 2, 4)) if previous is None else previous.relaxed,
+        residual=np.zeros(count),
+    )
+
+
+def advance(
+    state: ContactState, commanded_mm: FloatArray, dt_s: float | FloatArray
+) -> tuple[ContactState, Solved]:
+    """Solve the next time step of ``dt_s`` for the command ``commanded_mm`` (B, 3).
+
+    The command is relative to the height of first touch (z below it is negative) and to the probing
+    position. Never raises for lack of convergence: check ``residual`` against ``RESIDUAL_LIMIT``.
+    """
+    conditions = state.conditions
+    spring = grasp.springs(conditions, state.relaxed, dt_s)
+    slip, q = state.slip, state.q
+    for _ in range(SLIP_PASSES):
+        unloaded = spring.hidden.copy()
+        unloaded[:, :, :3] += slip
+        zero = grasp.elastic_zero(commanded_mm, unloaded, conditions.width_mm)
+        q, now, residual = balance(state.cells, state.anchor, q, zero, spring.matrix_diagonal)
+        d = grasp.pad_motion(q, zero, commanded_mm, spring.give, conditions.width_mm)
+        normal_n = grasp.normal_force_n(d, spring, conditions.grip_force_n)
+        mapped = grasp.returned_slip(slip, d, spring, normal_n, conditions)
+        change = np.abs(mapped - slip).max(initial=0.0)
+        if change < SLIP_TOLERANCE:
+            break
+        slip = mapped
+    else:
+        residual = np.full_like(residual, np.inf)
+    elastic = d.copy()
+    elastic[:, :, :3] -= slip
+    after = replace(
+        state,
+        q=q,
+        slip=slip,
+        anchor=contact.moved_anchor(state.cells, now, q),
+        relaxed=grasp.relax(state.relaxed, elastic, conditions, dt_s),
+        residual=np.maximum(state.residual, residual),
+    )
+    solved = Solved(
+        q=q,
+        wrench_g=now.wrench,
+        strain=elastic[:, :, :3],
+        normal_n=normal_n,
+        slip=slip,
+        residual=residual,
+        cop_mm=_centre_of_pressure(now.wrench, state.cells.r_z),
+    )
+    return after, solved
+
+
+def _centre_of_pressure(wrench: FloatArray, r_z: FloatArray) -> FloatArray:
+    force = np.where(wrench[:, 2] > 0.0, wrench[:, 2], np.nan)
+    x = -(wrench[:, 4] - r_z * wrench[:, 0]) / force
+    y = (wrench[:, 3] + r_z * wrench[:, 1]) / force
+    return np.stack([x, y], axis=1)

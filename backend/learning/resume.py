@@ -65,7 +65,8 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
         header = file.metadata() or {}
         if header.get("format") != FORMAT:
             raise ValueError("foreign file")
-        return json.loads(header["facts"]), {name: file.get_tensor(name) for name in file.keys()}
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    return json.loads(header["facts"]), tensors
 
 
 def _restore(trainer: Trainer, tensors: dict[str, Tensor]) -> None:

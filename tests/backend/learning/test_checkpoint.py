@@ -1,0 +1,151 @@
+"""Every bad model ends in one InputError that names the file."""
+
+import hashlib
+import json
+import struct
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from backend.core.faults import InputError
+from backend.learning.checkpoint import (
+    Card,
+    Sizes,
+    card_path,
+    load_checkpoint,
+    parse_tensors,
+    save_checkpoint,
+)
+from backend.learning.model import ARCH, Shape, new_model
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "pot.safetensors"
+    model = new_model(Shape(6, 8, 2, 5), 4)
+    card = Card(
+        arch=ARCH, hyper=Sizes(inputs=6, hidden=8, layers=2, points=5), modality="FT",
+        piece="pot", geometry="ab" * 32, base_rate=0.3, seed=4, program_version="0.1.0",
+        weights_sha256="",
+    )  # fmt: skip
+    save_checkpoint(path, model, card)
+    return path
+
+
+def reseal(path: Path) -> None:
+    """Give the card the hash of the present weights."""
+    change_card(path, weights_sha256=hashlib.sha256(path.read_bytes()).hexdigest())
+
+
+def change_card(path: Path, **changes: object) -> None:
+    card = json.loads(card_path(path).read_text())
+    card_path(path).write_text(json.dumps(card | changes))
+
+
+def refused(path: Path, words: str) -> InputError:
+    with pytest.raises(InputError, match=words) as error:
+        load_checkpoint(path)
+    assert error.value.where in (str(path), str(card_path(path)))
+    assert error.value.fix
+    return error.value
+
+
+def test_a_model_comes_back_exactly(path: Path) -> None:
+    loaded = load_checkpoint(path)
+    expected = new_model(Shape(6, 8, 2, 5), 4)
+    x = torch.randn(3, 20, 6)
+    assert torch.equal(loaded.model(x), expected(x))
+    assert not loaded.model.training
+    assert loaded.card.weights_sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_a_pickled_model_is_refused_and_never_run(path: Path, tmp_path: Path) -> None:
+    witness = tmp_path / "ran"
+
+    code = f"open({str(witness)!r}, 'w')".encode()
+    for protocol in range(2, 6):
+        call = b"cbuiltins\nexec\n(X" + struct.pack("<I", len(code)) + code + b"tR."
+        path.write_bytes(bytes([0x80, protocol]) + call)
+        reseal(path)
+        refused(path, "pickled")
+    torch.save({"w": torch.zeros(3)}, path)
+    refused(path, "pickled")
+    assert not witness.exists()
+
+
+def test_a_truncated_file_is_refused(path: Path) -> None:
+    whole = path.read_bytes()
+    for size in (0, 7, 8, 100, len(whole) // 2, len(whole) - 1):
+        path.write_bytes(whole[:size])
+        refused(path, "SHA-256 differs")
+        reseal(path)
+        refused(path, "not a complete safetensors")
+
+
+def test_a_flipped_bit_is_refused(path: Path) -> None:
+    whole = bytearray(path.read_bytes())
+    whole[-5] ^= 1
+    path.write_bytes(whole)
+    refused(path, "SHA-256 differs")
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+@pytest.mark.parametrize("name", ["lstm.weight_hh_l1", "head.bias", "mean"])
+def test_weights_that_are_not_finite_are_refused(path: Path, name: str, value: float) -> None:
+    tensors = parse_tensors(path.read_bytes(), path)
+    tensors[name].view(-1)[0] = value
+    save_file(tensors, path)
+    reseal(path)
+    refused(path, f"'{name}' holds values that are not finite")
+
+
+def test_other_tensors_are_refused(path: Path) -> None:
+    good = parse_tensors(path.read_bytes(), path)
+    cases = {
+        "head.bias": ({**good, "head.bias": torch.zeros(6)}, "shape"),
+        "half": ({**good, "head.bias": torch.zeros(5, dtype=torch.float16)}, "float32"),
+        "extra": ({**good, "extra": torch.zeros(1)}, "unexpected tensors: extra"),
+        "scale": ({**good, "scale": torch.zeros(6)}, "not positive"),
+        "less": ({k: v for k, v in good.items() if k != "mean"}, "Missing .* mean"),
+    }
+    for tensors, words in cases.values():
+        save_file(tensors, path)
+        reseal(path)
+        refused(path, words)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"arch": "os.system"}, "architecture 'os.system' is not known"),
+        ({"frames": 21}, "21 frames"),
+        ({"rate_hz": 25}, "25 Hz"),
+        ({"vector_order": "row first"}, "ordered row first"),
+        ({"modality": "FT+Tac"}, "6 inputs"),
+        ({"modality": "smell"}, "modality"),
+        ({"hyper": {"inputs": 6, "hidden": 10**9, "layers": 2, "points": 5}}, "hidden"),
+        ({"surprise": 1}, "surprise"),
+    ],
+)
+def test_a_card_that_does_not_fit_is_refused(path: Path, changes: dict, words: str) -> None:
+    change_card(path, **changes)
+    refused(path, words)
+
+
+def test_missing_files_are_named(path: Path) -> None:
+    card_path(path).unlink()
+    assert refused(path, "No such file").where == str(card_path(path))
+    path.unlink()
+    assert refused(path, "No such file").where == str(path)
+
+
+def test_safetensors_vector_of_the_format() -> None:
+    content = (
+        bytes.fromhex("5000000000000000")
+        + b'{"__metadata__":{"k":"v"},"w":{"dtype":"F32","shape":[2],"data_offsets":[0,8]}} '
+        + bytes.fromhex("0000803f00000040")
+    )
+    assert len(content) == 96
+    assert parse_tensors(content, Path("vector"))["w"].tolist() == [1.0, 2.0]

@@ -1,0 +1,183 @@
+"""Model, loss, training: closed forms, published counts, exact resume."""
+
+import itertools
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from backend.config.method import TrainingSettings
+from backend.core.faults import InputError
+from backend.dataset.rows import TrainingRows
+from backend.dataset.splits import split_rows
+from backend.learning.features import (
+    MODALITIES,
+    channel_groups,
+    columns,
+    fit_normaliser,
+)
+from backend.learning.model import Shape, new_model
+from backend.learning.resume import load_state, save_state
+from backend.learning.training import Trainer, bce, fingerprint, predict
+
+
+def rows(count: int, per_grip: int = 2, mountings: int = 1, points: int = 9) -> TrainingRows:
+    """Episodes whose torques tell which half of the face is in contact."""
+    rng = np.random.default_rng(5)
+    observation = rng.normal(size=(count, 20, 258)).astype(np.float32)
+    side = rng.choice([-1.0, 1.0], count)
+    observation[:, :, 256] += 8 * side[:, None].astype(np.float32)
+    column = np.arange(points) % 3 - 1
+    patch = column[None, :] * side[:, None] >= 0
+    return TrainingRows(
+        "pot", "ab" * 32, observation, np.stack([side, 0 * side], 1), patch,
+        ("circle15",) * count,
+        tuple(f"g{i // per_grip}" for i in range(count)),
+        tuple(f"m{i // per_grip * per_grip * mountings // count}" for i in range(count)),
+        tuple({"episode": f"e{i}"} for i in range(count)),
+    )  # fmt: skip
+
+
+SMALL = TrainingSettings(hidden=16, epochs=4, batch=4, validation_share=0.25, seed=3)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "points", "layer_1", "head"),
+    [(258, 505, 528_384, 129_785), (252, 177, 522_240, 45_489), (6, 349, 270_336, 89_693)],
+)
+def test_parameter_counts_of_the_method(inputs: int, points: int, layer_1: int, head: int) -> None:
+    model = new_model(Shape(inputs, 256, 2, points), 0)
+    count = {name: p.numel() for name, p in model.named_parameters()}
+    assert sum(n for name, n in count.items() if name.endswith("_l0")) == layer_1
+    assert sum(n for name, n in count.items() if name.endswith("_l1")) == 526_336
+    assert sum(n for name, n in count.items() if name.startswith("head")) == head
+
+
+def test_loss_against_a_hand_computation() -> None:
+    # sigma(0) = 1/2, sigma(ln 3) = 3/4, sigma(-ln 3) = 1/4, sigma(ln 9) = 9/10
+    logits = torch.tensor([[0.0, math.log(3)], [-math.log(3), math.log(9)]])
+    targets = torch.tensor([[1.0, 1.0], [0.0, 0.0]])
+    by_hand = -(math.log(1 / 2) + math.log(3 / 4) + math.log(3 / 4) + math.log(1 / 10)) / 4
+    assert float(bce(logits, targets)) == pytest.approx(by_hand, rel=1e-6)
+    assert math.isfinite(float(bce(torch.tensor([[-200.0]]), torch.tensor([[1.0]]))))
+
+
+def test_modalities_cover_the_vector() -> None:
+    sizes = {m: columns(m).stop - columns(m).start for m in MODALITIES}
+    assert sizes == {"FT": 6, "Tac": 252, "FT+Tac": 258}
+    groups = channel_groups()
+    assert np.bincount(groups).tolist() == [63, 63, 63, 63, 1, 1, 1, 1, 1, 1]
+
+
+@pytest.mark.parametrize("modality", MODALITIES)
+def test_standardised_channels_have_zero_mean_and_unit_scale_per_group(modality: str) -> None:
+    rng = np.random.default_rng(1)
+    spread = np.geomspace(1e-3, 1e3, 258)
+    x = (rng.normal(size=(50, 20, 258)) * spread + spread).astype(np.float32)
+    part = columns(modality)  # type: ignore[arg-type]
+    fit = fit_normaliser(x, modality)  # type: ignore[arg-type]
+    z = ((x[:, :, part] - fit.mean) / fit.scale).reshape(-1, part.stop - part.start)
+    assert np.abs(z.mean(axis=0)).max() < 1e-3
+    groups = channel_groups()[part]
+    for group in np.unique(groups):
+        assert np.mean(z[:, groups == group] ** 2) == pytest.approx(1.0, rel=1e-3)
+
+
+def test_a_channel_that_never_changes_is_left_alone() -> None:
+    fit = fit_normaliser(np.zeros((3, 20, 258), np.float32), "FT+Tac")
+    assert (fit.scale == 1).all()
+
+
+def test_the_order_of_time_matters() -> None:
+    model = new_model(Shape(6, 16, 2, 4), 1)
+    x = torch.randn(1, 20, 6, generator=torch.Generator().manual_seed(1))
+    assert not torch.allclose(model(x), model(x.flip(1)))
+    assert model(x).shape == (1, 4)
+
+
+@pytest.mark.parametrize(("mountings", "kind"), [(1, "grip"), (9, "grip"), (20, "mounting")])
+def test_no_grip_or_mounting_is_on_both_sides(mountings: int, kind: str) -> None:
+    data = rows(400, per_grip=5, mountings=mountings)
+    split = split_rows(data, 0.1, seed=2)
+    assert split.kept_together == kind
+    assert sorted([*split.train, *split.held_out]) == list(range(400))
+    assert 0.05 <= len(split.held_out) / 400 <= 0.2
+    ids = data.mounting_id if kind == "mounting" else data.grip_id
+    assert not {ids[i] for i in split.train} & {ids[i] for i in split.held_out}
+
+
+def test_one_grip_alone_cannot_be_split() -> None:
+    with pytest.raises(InputError, match="one grip"):
+        split_rows(rows(8, per_grip=8), 0.25, 0)
+
+
+def test_eight_episodes_are_learnt_by_heart() -> None:
+    data = rows(8, per_grip=1)
+    settings = TrainingSettings(hidden=32, epochs=60, learning_rate=0.01, batch=7)
+    trainer = Trainer(data, settings)
+    reports = list(trainer.epochs())
+    assert reports[0].train_loss == pytest.approx(math.log(2), abs=0.05)
+    assert reports[-1].train_loss < 0.02
+    known = trainer.split.train
+    predicted = predict(trainer.model, data.observation[known], columns("FT+Tac")) > 0.5
+    assert np.array_equal(predicted, data.patch[known])
+    assert [r.epoch for r in reports] == list(range(1, 61))
+
+
+def test_resume_equals_uninterrupted_bit_for_bit(tmp_path: Path) -> None:
+    data = rows(24)
+    name = fingerprint(data)
+    whole = Trainer(data, SMALL)
+    expected = list(whole.epochs())
+
+    first = Trainer(data, SMALL)
+    got = list(itertools.islice(first.epochs(), 2))
+    save_state(tmp_path / "a.resume.safetensors", first, name)
+    second = Trainer(data, SMALL)
+    load_state(tmp_path / "a.resume.safetensors", second, name)
+    got += list(second.epochs())
+
+    assert got == expected
+    for a, b in ((whole.model, second.model), (whole.best_model(), second.best_model())):
+        states = zip(a.state_dict().items(), b.state_dict().items(), strict=True)
+        assert all(ka == kb and torch.equal(va, vb) for (ka, va), (kb, vb) in states)
+
+
+def test_a_cancelled_epoch_leaves_no_report_and_resume_repeats_it(tmp_path: Path) -> None:
+    data = rows(24)
+    calls = itertools.count()
+    trainer = Trainer(data, SMALL)
+    # 18 training episodes in batches of 4 are 5 calls an epoch: cancelled within the third
+    reports = list(trainer.epochs(lambda: next(calls) >= 12))
+    assert [r.epoch for r in reports] == [1, 2]
+    assert reports == list(itertools.islice(Trainer(data, SMALL).epochs(), 2))
+
+
+def test_resume_refuses_other_data_other_settings_and_damage(tmp_path: Path) -> None:
+    data, path = rows(24), tmp_path / "a.resume.safetensors"
+    with pytest.raises(InputError, match="no usable"):
+        load_state(path, Trainer(data, SMALL), "x")
+    trainer = Trainer(data, SMALL)
+    next(trainer.epochs())
+    save_state(path, trainer, "x")
+    with pytest.raises(InputError, match="other data"):
+        load_state(path, Trainer(data, SMALL), "y")
+    other = SMALL.model_copy(update={"learning_rate": 0.1})
+    with pytest.raises(InputError, match="other data or settings"):
+        load_state(path, Trainer(data, other), "x")
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(InputError, match="no usable"):
+        load_state(path, Trainer(data, SMALL), "x")
+
+
+def test_fingerprint_sees_every_target() -> None:
+    data = rows(8)
+    patch = data.patch.copy()
+    patch[7, 8] = ~patch[7, 8]
+    changed = TrainingRows(
+        data.piece, data.geometry, data.observation, data.offset_mm, patch,
+        data.bottom, data.grip_id, data.mounting_id, data.labels,
+    )  # fmt: skip
+    assert fingerprint(data) != fingerprint(changed)

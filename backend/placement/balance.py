@@ -1,0 +1,46 @@
+"""The centre of pressure that the wrist wrench demands, as a check of an estimated patch."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from backend.core.flow import FloatArray
+from backend.placement.hull import convex_hull, signed_margin_mm
+
+LEAST_PRESS_N = 0.5
+"""Below this press force the quotient is noise (F/T offset 0.2 N): no centre is returned."""
+
+
+def centre_of_pressure_mm(
+    wrench: FloatArray, lever_mm: float, least_press_n: float = LEAST_PRESS_N
+) -> FloatArray:
+    """Return the centre of pressure in the face plane, (..., 2) mm from the axis through ``G``.
+
+    ``wrench`` (..., 6) in N and N·m at the sensor, tared; ``lever_mm`` is the height of the sensor
+    above the face (grip height + sensor above ``G``). The lateral forces turn about that lever and
+    must be taken out (method 14, item 3; bench-physics 4):
+
+        x = -(Ty + h Fx) / Fz,   y = (Tx - h Fy) / Fz
+
+    NaN where the piece is not pressed by at least ``least_press_n``.
+    """
+    fx, fy, fz = wrench[..., 0], wrench[..., 1], wrench[..., 2]
+    tx_nmm, ty_nmm = 1e3 * wrench[..., 3], 1e3 * wrench[..., 4]
+    press = np.where(fz >= least_press_n, fz, np.nan)
+    x = -(ty_nmm + lever_mm * fx) / press
+    y = (tx_nmm - lever_mm * fy) / press
+    return np.stack((x, y), axis=-1)
+
+
+def outside_patch_mm(points_mm: FloatArray, centre_mm: FloatArray) -> float:
+    """Return how far ``centre_mm`` (2,) lies outside the hull of contact ``points_mm`` (n, 2).
+
+    Zero inside: a flat contact can only push, so the centre of pressure lies in its hull. Infinity
+    for an empty patch, NaN for a centre that is not a number.
+    """
+    if not np.isfinite(centre_mm).all():
+        return math.nan
+    hull = convex_hull(points_mm)
+    return max(0.0, -signed_margin_mm(hull, (float(centre_mm[0]), float(centre_mm[1]))))

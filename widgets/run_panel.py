@@ -1,0 +1,196 @@
+"""What to stack, how often and how; start, pause, cancel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from PySide6.QtCore import QSize
+from PySide6.QtWidgets import QComboBox, QFormLayout, QHBoxLayout, QPushButton, QSpinBox, QWidget
+
+from widgets.icons import icon
+from widgets.panel import Panel, label
+from widgets.theme import Theme
+
+NOTHING = "nothing"
+STRATEGIES = (("paper", "Probe and believe"), ("pick-and-place", "Pick and place (baseline)"))
+MODES = (
+    ("auto", "Auto: no questions"),
+    ("approve", "Approve each move"),
+    ("step", "Step: one move per press"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RunForm:
+    """What the operator asked for. ``under``: the body below the touched bottom, "" for none."""
+
+    piece: str = "pot"
+    bottom: str = "short"
+    under: str = ""
+    seed: int = 7
+    trials: int = 3
+    strategy: str = "paper"
+    mode: str = "auto"
+
+
+@dataclass(frozen=True, slots=True)
+class RunButtons:
+    """Which buttons may be pressed, and whether the run is paused."""
+
+    start: bool
+    pause: bool
+    cancel: bool
+    paused: bool
+    why_not: str = ""
+
+
+class RunPanel(Panel):
+    """The form and its buttons."""
+
+    def __init__(
+        self,
+        theme: Theme,
+        on_start: Callable[[], None],
+        on_pause: Callable[[], None],
+        on_cancel: Callable[[], None],
+    ) -> None:
+        super().__init__("Run")
+        self._theme = theme
+        self._piece, self._bottom, self._under = QComboBox(), QComboBox(), QComboBox()
+        self._seed, self._trials = QSpinBox(), QSpinBox()
+        self._strategy, self._mode = QComboBox(), QComboBox()
+        self._seed.setRange(0, 999_999)
+        self._trials.setRange(1, 100)
+        for key, text in STRATEGIES:
+            self._strategy.addItem(text, key)
+        for key, text in MODES:
+            self._mode.addItem(text, key)
+        self.start = QPushButton("Start stacking")
+        self.start.setProperty("role", "primary")
+        self.pause = QPushButton("Pause")
+        self.cancel = QPushButton("Cancel")
+        self.start.clicked.connect(on_start)
+        self.pause.clicked.connect(on_pause)
+        self.cancel.clicked.connect(on_cancel)
+        self._tips()
+        self._arrange()
+        self.show_buttons(RunButtons(start=False, pause=False, cancel=False, paused=False))
+
+    def _tips(self) -> None:
+        for widget, name, tip in (
+            (self._piece, "Piece", "The piece in the gripper; its geometry is known"),
+            (
+                self._bottom,
+                "Bottom",
+                "What the piece is set on; the method does not know its shape",
+            ),
+            (self._under, "Below it", "A second body under the bottom makes a tower"),
+            (self._seed, "Seed", "Trial k uses seed + k; the same seed gives the same run"),
+            (self._trials, "Trials", "How many times to stack"),
+            (self._strategy, "Strategy", "The method, or letting go without probing"),
+            (self._mode, "Mode", "Whether each move waits for you"),
+            (self.pause, "Pause", "Pause at the next safe place, arm lifted (P)"),
+            (self.cancel, "Cancel", "End in an orderly way: lift, keep the piece"),
+        ):
+            widget.setAccessibleName(name)
+            widget.setToolTip(tip)
+        self.start.setAccessibleName("Start stacking")
+
+    def _arrange(self) -> None:
+        form = QFormLayout()
+        form.setHorizontalSpacing(12)
+        form.setVerticalSpacing(6)
+        form.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
+        numbers = QHBoxLayout()
+        numbers.setSpacing(8)
+        numbers.addWidget(self._seed, 1)
+        trials = label("Trials")
+        trials.setBuddy(self._trials)
+        numbers.addWidget(trials)
+        numbers.addWidget(self._trials, 1)
+        for text, field in (("Piece", self._piece), ("Bottom", self._bottom),
+                            ("Below it", self._under)):  # fmt: skip
+            form.addRow(_buddy(text, field), field)
+        form.addRow(_buddy("Seed", self._seed), numbers)
+        form.addRow(_buddy("Strategy", self._strategy), self._strategy)
+        form.addRow(_buddy("Mode", self._mode), self._mode)
+        buttons = QHBoxLayout()
+        buttons.addWidget(self.pause, 1)
+        buttons.addWidget(self.cancel, 1)
+        self.column.addLayout(form)
+        self.column.addSpacing(2)
+        self.column.addWidget(self.start)
+        self.column.addLayout(buttons)
+        for one in (self._piece, self._bottom, self._under, self._strategy, self._mode):
+            one.setMinimumContentsLength(8)
+            one.setSizeAdjustPolicy(
+                QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
+            )
+
+    def show_catalogue(
+        self, pieces: Sequence[tuple[str, str]], bottoms: Sequence[tuple[str, str]]
+    ) -> None:
+        """Offer these (key, title) pieces and bottoms; the choice is kept where possible."""
+        form = self.form()
+        for combo, entries in ((self._piece, pieces), (self._bottom, bottoms),
+                               (self._under, (("", NOTHING), *bottoms))):  # fmt: skip
+            combo.clear()
+            for key, title in entries:
+                combo.addItem(title, key)
+        self.show_form(form)
+
+    def show_form(self, form: RunForm) -> None:
+        """Fill in a form; unknown entries are left as they are."""
+        for combo, key in ((self._piece, form.piece), (self._bottom, form.bottom),
+                           (self._under, form.under), (self._strategy, form.strategy),
+                           (self._mode, form.mode)):  # fmt: skip
+            index = combo.findData(key)
+            if index >= 0:
+                combo.setCurrentIndex(index)
+        self._seed.setValue(form.seed)
+        self._trials.setValue(form.trials)
+
+    def form(self) -> RunForm:
+        """Return what is filled in."""
+        default = RunForm()
+        return replace(
+            default,
+            piece=self._piece.currentData() or default.piece,
+            bottom=self._bottom.currentData() or default.bottom,
+            under=self._under.currentData() or "",
+            seed=self._seed.value(),
+            trials=self._trials.value(),
+            strategy=self._strategy.currentData(),
+            mode=self._mode.currentData(),
+        )
+
+    def show_buttons(self, buttons: RunButtons) -> None:
+        """Enable what is allowed now; a disabled Start says why."""
+        self.start.setEnabled(buttons.start)
+        self.start.setToolTip(buttons.why_not or "Begin the run (Ctrl+Return)")
+        self.pause.setEnabled(buttons.pause)
+        self.pause.setText("Resume" if buttons.paused else "Pause")
+        self.cancel.setEnabled(buttons.cancel)
+        for field in (self._piece, self._bottom, self._under, self._seed, self._trials,
+                      self._strategy, self._mode):  # fmt: skip
+            field.setEnabled(not buttons.cancel)
+        self._draw_icons()
+
+    def _draw_icons(self) -> None:
+        t = self._theme.tokens
+        ink = t.colour("panel") if self.start.isEnabled() else t.colour("border")
+        self.start.setIcon(icon("play", ink))
+        for button, name in (
+            (self.pause, "play" if self.pause.text() == "Resume" else "pause"),
+            (self.cancel, "cancel"),
+        ):
+            button.setIcon(icon(name, t.colour("text" if button.isEnabled() else "border")))
+        for button in (self.start, self.pause, self.cancel):
+            button.setIconSize(QSize(15, 15))
+
+
+def _buddy(text: str, field: QWidget) -> QWidget:
+    made = label(text, "muted")
+    made.setBuddy(field)
+    return made

@@ -1,0 +1,122 @@
+"""The trials of the run: one mark each, the success rate and its interval."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtGui import QPainter, QPaintEvent, QPen
+from PySide6.QtWidgets import QHBoxLayout, QSizePolicy, QWidget
+
+from backend.core.flow import Outcome
+from widgets.panel import Panel, label
+from widgets.theme import Theme
+
+WORDS: dict[Outcome, str] = {
+    Outcome.PLACED: "placed",
+    Outcome.FELL: "fell",
+    Outcome.KNOCKED_OVER: "knocked over",
+    Outcome.GAVE_UP: "gave up",
+    Outcome.ABORTED: "aborted",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Outcomes so far, trials planned, and the Wilson interval of the success rate (0..1)."""
+
+    outcomes: tuple[Outcome, ...]
+    trials: int
+    interval: tuple[float, float] | None
+    last: str = ""
+
+
+class OutcomeMarks(QWidget):
+    """One mark per trial: tick, cross, dash or a hollow place still to come."""
+
+    def __init__(self, theme: Theme) -> None:
+        super().__init__()
+        self._theme = theme
+        self._outcomes: Sequence[Outcome] = ()
+        self._trials = 0
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+
+    def show_outcomes(self, outcomes: Sequence[Outcome], trials: int) -> None:
+        """Show the outcomes so far and the places left."""
+        self._outcomes, self._trials = outcomes, max(trials, len(outcomes))
+        self.setAccessibleName(
+            ", ".join(WORDS[o] for o in outcomes) if outcomes else "No trial finished"
+        )
+        self.update()
+
+    def sizeHint(self) -> QSize:
+        """Return one row of marks."""
+        return QSize(200, 24)
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw the marks, the newest ones if there is not room for all."""
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        room = max(int(self.width() // 22), 1)
+        first = max(0, min(len(self._outcomes) - room + 1, self._trials - room))
+        for place, index in enumerate(range(first, min(first + room, self._trials))):
+            at = QPointF(11 + 22 * place, self.height() / 2)
+            outcome = self._outcomes[index] if index < len(self._outcomes) else None
+            _mark(painter, self._theme, at, outcome)
+
+
+def _mark(painter: QPainter, theme: Theme, at: QPointF, outcome: Outcome | None) -> None:
+    t = theme.tokens
+    painter.setPen(QPen(t.colour("border"), 1))
+    painter.setBrush(Qt.BrushStyle.NoBrush)
+    box = QRectF(at.x() - 9, at.y() - 9, 18, 18)
+    if outcome is None:
+        painter.drawRoundedRect(box, 4, 4)
+        return
+    good = outcome is Outcome.PLACED
+    fallen = outcome in (Outcome.FELL, Outcome.KNOCKED_OVER)
+    painter.setBrush(t.colour("pill_green" if good else "pill_red" if fallen else "pill_grey"))
+    painter.drawRoundedRect(box, 4, 4)
+    painter.setPen(QPen(t.colour("on_light" if good else "on_dark"), 2))
+    if good:
+        painter.drawPolyline([at + QPointF(-4.5, 0.5), at + QPointF(-1, 4), at + QPointF(5, -4)])
+    elif fallen:
+        painter.drawLine(at + QPointF(-4, -4), at + QPointF(4, 4))
+        painter.drawLine(at + QPointF(-4, 4), at + QPointF(4, -4))
+    else:
+        painter.drawLine(at + QPointF(-4, 0), at + QPointF(4, 0))
+
+
+class ScorePanel(Panel):
+    """Placed k of n, the rate with its 95 % interval, and the marks."""
+
+    def __init__(self, theme: Theme) -> None:
+        super().__init__("Trials")
+        self._count = label("0 of 0 placed", "figure")
+        self._rate = label("", "small")
+        self._marks = OutcomeMarks(theme)
+        self._last = label("", "small", wrap=True)
+        row = QHBoxLayout()
+        row.addWidget(self._count)
+        row.addStretch(1)
+        row.addWidget(self._rate, 0, Qt.AlignmentFlag.AlignBottom)
+        self.column.addLayout(row)
+        self.column.addWidget(self._marks)
+        self.column.addWidget(self._last)
+        self.show_score(Score((), 0, None))
+
+    def show_score(self, score: Score) -> None:
+        """Show the score."""
+        placed = sum(o is Outcome.PLACED for o in score.outcomes)
+        self._count.setText(f"{placed} of {len(score.outcomes)} placed")
+        self.detail.setText(f"{len(score.outcomes)} of {score.trials} done" if score.trials else "")
+        self._rate.setText("")
+        if score.interval is not None:
+            low, high = score.interval
+            self._rate.setText(
+                f"{100 * placed / len(score.outcomes):.0f} %  (95 %: {100 * low:.0f} to "
+                f"{100 * high:.0f})"
+            )
+        self._marks.show_outcomes(score.outcomes, score.trials)
+        self._last.setText(score.last or "No trial finished in this run.")

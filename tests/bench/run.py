@@ -1,0 +1,71 @@
+"""Print every promised figure next to its target: ``make bench``.
+
+``python -m tests.bench.run [group ...] [--json]`` measures the named groups only. Exit code 0 if
+every measured figure meets its target, else 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+
+from rich.table import Table
+
+from backend.verbs.screen import Screen
+from tests.bench.registry import REGISTER, Figure
+
+MODULES: tuple[str, ...] = ("tests.bench.command_line",)
+"""Modules that register figures, in the order of the table."""
+
+WORDS = {True: "[green]met[/]", False: "[bold red]missed[/]", None: "[yellow]not measured[/]"}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Measure and print; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="make bench", description=__doc__)
+    parser.add_argument("groups", nargs="*", help="measure these groups only")
+    parser.add_argument("--json", action="store_true", help="one JSON object and nothing else")
+    args = parser.parse_args(argv)
+    for module in MODULES:
+        importlib.import_module(module)
+    wanted = {
+        name: measure
+        for name, (group, measure) in REGISTER.items()
+        if not args.groups or group in args.groups
+    }
+    screen = Screen(json=args.json)
+    figures: list[Figure] = []
+    with screen.progress("Measuring", len(wanted)) as advance:
+        for done, (name, measure) in enumerate(wanted.items()):
+            advance(done, name.replace("_", " "))
+            figures += measure()
+        advance(len(wanted))
+    screen.show(table(figures))
+    missed = [figure for figure in figures if figure.ok is False]
+    screen.say(f"{len(figures)} figures, {len(missed)} missed.")
+    screen.result({"figures": [as_record(figure) for figure in figures]})
+    return 1 if missed else 0
+
+
+def table(figures: Sequence[Figure]) -> Table:
+    """Return the table of all figures."""
+    shown = Table(title="Figures")
+    for column in ("figure", "measured", "target", "", "note"):
+        shown.add_column(column, overflow="fold")
+    for f in figures:
+        value = f"{f.value:.4g}" if isinstance(f.value, float) else f.value
+        measured = "" if value is None else f"{value} {f.unit}".strip()
+        shown.add_row(f.name, measured, f"{f.target} {f.unit}".strip(), WORDS[f.ok], f.note)
+    return shown
+
+
+def as_record(f: Figure) -> dict[str, object]:
+    """Return the JSON form of one figure."""
+    names = ("name", "value", "unit", "target", "ok", "note")
+    return {name: getattr(f, name) for name in names}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -112,15 +112,19 @@ class McapWriter:
             self._counts[block.channel] += len(block.log_ns)
         return where
 
+    def finish(self) -> dict[str, int]:
+        """Write the summary and make the unnamed file durable; returns the counts per topic."""
+        if not self._file.closed:
+            self._file.write(record(Op.DATA_END, struct.pack("<I", 0)))
+            self._file.write(self._summary(self._file.tell()) + MAGIC)
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._file.close()
+        return self.counts
+
     def close(self) -> None:
-        """Write the summary, make the file durable, and give it its name."""
-        if self._file.closed:
-            return
-        self._file.write(record(Op.DATA_END, struct.pack("<I", 0)))
-        self._file.write(self._summary(self._file.tell()) + MAGIC)
-        self._file.flush()
-        os.fsync(self._file.fileno())
-        self._file.close()
+        """Finish the file and give it its name."""
+        self.finish()
         self.part.replace(self.path)
         sync_folder(self.path.parent)
 

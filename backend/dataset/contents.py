@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -61,6 +61,17 @@ def read_whole(path: Path) -> Contents:
             whole.messages.setdefault(topic, []).extend(messages)
             whole.sequence.setdefault(topic, []).extend(part.sequence[topic])
     return whole
+
+
+def check_counts(path: Path, expected: Mapping[str, int]) -> None:
+    """Read a file just written; raises ``OSError`` unless it holds the expected messages."""
+    try:
+        whole = read_whole(path)
+    except InputError as error:
+        raise OSError(f"the episode could not be read back: {error.what}") from error
+    found = {topic: len(messages) for topic, messages in whole.messages.items()}
+    if found != {topic: count for topic, count in expected.items() if count}:
+        raise OSError("the episode read back differs from what was written")
 
 
 def _check_ends(data: bytes) -> None:

@@ -1,0 +1,174 @@
+"""Pieces and bottoms the bench knows, one TOML file each, identified by their content.
+
+The name of a piece is the name of its file. A folder of the operator's own files adds to the
+shipped ones; a file of the same name there replaces the shipped piece.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from hashlib import sha256
+from importlib.resources import files
+from pathlib import Path
+
+from backend.config.load import load
+from backend.core.faults import InputError
+from backend.objects.piece_file import PieceFile
+from backend.objects.shapes import Outline, Point
+from backend.objects.tower import Body
+
+NAME = re.compile(r"[a-z][a-z0-9_-]{0,39}")
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """One known piece.
+
+    ``face``: contact face (underside of a grasped piece, upper surface of a bottom). ``upper`` and
+    ``lower``: the ends when it stands; ``upper`` is None if nothing can stand on it. Heights are
+    above the underside as it stands. ``grip_height_mm`` (face to grasp pivot) is None if it is
+    never grasped; ``width_mm`` between the pads. ``fixed``: cannot topple. ``nominal``: sizes are
+    not measured. ``sha256`` of the content, so that data and models know what they belong to.
+    """
+
+    name: str
+    title: str
+    roles: tuple[str, ...]
+    face: Outline
+    upper: Outline | None
+    lower: Outline
+    height_mm: float
+    com_height_mm: float
+    com_xy_mm: Point
+    mass_g: float
+    grip_height_mm: float | None
+    width_mm: float
+    fixed: bool
+    nominal: bool
+    sha256: str
+    source: str
+
+    def body(self, at_mm: Point = (0.0, 0.0), yaw_rad: float = 0.0) -> Body:
+        """Return the piece as a body standing with its face centre at ``at_mm``."""
+        return Body(
+            name=self.name,
+            lower=self.lower,
+            upper=self.upper,
+            height_mm=self.height_mm,
+            mass_g=self.mass_g,
+            com_height_mm=self.com_height_mm,
+            com_xy_mm=self.com_xy_mm,
+            at_mm=at_mm,
+            yaw_rad=yaw_rad,
+            fixed=self.fixed,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Catalogue:
+    """All known pieces by name."""
+
+    pieces: Mapping[str, Piece]
+    where: str
+
+    def piece(self, name: str) -> Piece:
+        """Return the piece; raises ``InputError`` naming the known ones."""
+        if name not in self.pieces:
+            raise InputError(
+                f"There is no piece '{name}'.",
+                f"{self.where}: {name}.toml",
+                f"Known pieces: {', '.join(sorted(self.pieces))}.",
+            )
+        return self.pieces[name]
+
+    def top(self, name: str) -> Piece:
+        """Return a piece that can be grasped; raises ``InputError``."""
+        return self._with_role(name, "top", "cannot be grasped", self.tops)
+
+    def bottom(self, name: str) -> Piece:
+        """Return a piece that can carry another; raises ``InputError``."""
+        return self._with_role(name, "bottom", "cannot carry another piece", self.bottoms)
+
+    def _with_role(self, name: str, role: str, lack: str, others: tuple[str, ...]) -> Piece:
+        piece = self.piece(name)
+        if role not in piece.roles:
+            raise InputError(f"'{name}' {lack}.", piece.source, f"Use one of: {', '.join(others)}.")
+        return piece
+
+    @property
+    def tops(self) -> tuple[str, ...]:
+        """Names of the pieces that can be grasped."""
+        return tuple(sorted(n for n, p in self.pieces.items() if "top" in p.roles))
+
+    @property
+    def bottoms(self) -> tuple[str, ...]:
+        """Names of the pieces that can carry another."""
+        return tuple(sorted(n for n, p in self.pieces.items() if "bottom" in p.roles))
+
+
+def load_catalogue(folder: Path | None = None) -> Catalogue:
+    """Read the shipped pieces and those of ``folder``.
+
+    Raises one ``InputError`` with file, key and reason for the first bad file.
+    """
+    shipped = Path(str(files("resources"))) / "objects"
+    pieces = _read_folder(shipped)
+    if folder is not None:
+        if not folder.is_dir():
+            raise InputError("There is no such folder of pieces.", str(folder), "Check the path.")
+        pieces |= _read_folder(folder)
+    return Catalogue(pieces, str(folder or "resources/objects"))
+
+
+def _read_folder(folder: Path) -> dict[str, Piece]:
+    return {path.stem: read_piece(path) for path in sorted(folder.glob("*.toml"))}
+
+
+def read_piece(path: Path) -> Piece:
+    """Read one piece file; raises ``InputError``."""
+    if NAME.fullmatch(path.stem) is None:
+        raise InputError(
+            "A piece is named by its file: small letters, digits, '-' and '_'.",
+            str(path),
+            "Rename the file.",
+        )
+    content = load(PieceFile, path)
+    face = content.face.outline()
+    opposite = content.opposite.outline() if content.opposite else None
+    grasped = content.grip_height_mm is not None
+    carries = "bottom" in content.roles
+    upper, lower = (
+        (opposite or (face if carries else None), face)
+        if grasped
+        else (
+            face,
+            opposite or face,
+        )
+    )
+    return Piece(
+        name=path.stem,
+        title=content.title,
+        roles=content.roles,
+        face=face,
+        upper=upper,
+        lower=lower,
+        height_mm=content.height_mm,
+        com_height_mm=content.com_height_mm,
+        com_xy_mm=content.com_xy_mm,
+        mass_g=content.mass_g,
+        grip_height_mm=content.grip_height_mm,
+        width_mm=content.width_mm,
+        fixed=content.fixed,
+        nominal=content.nominal,
+        sha256=_digest(content),
+        source=str(path),
+    )
+
+
+def _digest(content: PieceFile) -> str:
+    """Hash what the piece is, whatever the order, comments and title of its file."""
+    facts = content.model_dump(mode="json", exclude={"title", "nominal"})
+    return sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()

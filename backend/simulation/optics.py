@@ -1,0 +1,163 @@
+"""Renders tactile images: 320x240 BGR from the displacement of the 63 markers.
+
+Source: bench reference 7. I = B + P + m (core - B - P) + n with the background B, the fixed grain P,
+the temporal noise n and the dot mask m, the largest of 63 logistic discs. Discs follow the local
+displacement gradient as ellipses. B + P is computed once; a frame draws 63 small patches and adds a
+random window of a noise bank, because a fresh normal for each of 230,400 values would cost more
+than everything else.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.core.flow import (
+    GRID_COLS,
+    GRID_ROWS,
+    MARKERS,
+    FloatArray,
+    ImageArray,
+)
+from backend.simulation.gel_look import GelLook
+
+WIDTH_PX, HEIGHT_PX = 320, 240
+SMEAR_RADIUS_PX = 13.0
+_REACH_PX = 15
+"""Half width of the patch drawn round a dot: the mask has faded to 0.1 % there."""
+_CONTRAST_SPREAD = 0.05
+"""Spread of the dots' darkness (real cores range from 16 to 67 levels)."""
+_BANK_FACTOR = 2
+
+Float32 = NDArray[np.float32]
+
+
+class FingerOptics:
+    """One finger's camera. Same seed, same calls: the same bytes."""
+
+    def __init__(self, look: GelLook, seed: int, *, flicker: float = 0.0) -> None:
+        """``flicker``: amplitude of a brightness swing (0.25 = ±25 %), by the frame's phase."""
+        self.look, self._flicker = look, flicker
+        fixed = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 1])))
+        self._draws = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 2])))
+        self._back = _background(look) + _grain(look, fixed)
+        self._to_core = look.core.astype(np.float32)[:, None, None] - self._back
+        contrast = 1.0 - np.abs(_CONTRAST_SPREAD * fixed.standard_normal(MARKERS))
+        self._contrast = contrast.astype(np.float32)
+        shape = (3, _BANK_FACTOR * HEIGHT_PX, _BANK_FACTOR * WIDTH_PX)
+        self._bank = fixed.standard_normal(shape, dtype=np.float32) * np.float32(look.noise)
+        self._mask = np.zeros((HEIGHT_PX, WIDTH_PX), dtype=np.float32)
+        self._frame = np.empty((3, HEIGHT_PX, WIDTH_PX), dtype=np.float32)
+
+    def render(
+        self, displacement_px: FloatArray, hidden: NDArray[np.bool_], phase: float = 0.0
+    ) -> ImageArray:
+        """Return the image for ``displacement_px`` (63, 2); ``hidden`` (63,) dots lie under a smear."""
+        centre_px = self.look.rest_px + displacement_px
+        self._draw_dots(centre_px, displacement_px)
+        np.multiply(self._to_core, self._mask, out=self._frame)
+        self._frame += self._back
+        for marker in np.flatnonzero(hidden):
+            self._smear(centre_px[marker])
+        if self._flicker:
+            self._frame *= np.float32(1.0 + self._flicker * np.sin(1.3 * phase))
+        self._add_noise()
+        np.clip(self._frame, 0.0, 255.0, out=self._frame)
+        planes = self._frame.astype(np.uint8)
+        return np.asarray(cv2.merge([planes[0], planes[1], planes[2]]), dtype=np.uint8)
+
+    def _draw_dots(self, centre_px: FloatArray, displacement_px: FloatArray) -> None:
+        self._mask.fill(0.0)
+        corner = np.floor(centre_px).astype(np.intp) - _REACH_PX + 1
+        size = 2 * _REACH_PX
+        steps = np.arange(size, dtype=np.float32)
+        first = (corner - centre_px).astype(np.float32)
+        dx, dy = first[:, :1] + steps, first[:, 1:] + steps
+        inverse = _inverse_stretch(displacement_px, self.look.rest_px).astype(np.float32)
+        a, b, c = _quadratic_form(inverse)
+        squared = (
+            (a * dx * dx)[:, None, :]
+            + (2.0 * b[..., None] * dy[:, :, None] * dx[:, None, :])
+            + (c * dy * dy)[:, :, None]
+        )
+        mask = np.sqrt(squared, out=squared)
+        mask -= np.float32(self.look.radius_px)
+        mask *= np.float32(1.0 / self.look.edge_px)
+        np.exp(mask, out=mask)
+        mask += np.float32(1.0)
+        np.divide(self._contrast[:, None, None], mask, out=mask)
+        for (u, v), patch in zip(corner.tolist(), mask, strict=True):
+            u0, u1 = max(u, 0), min(u + size, WIDTH_PX)
+            v0, v1 = max(v, 0), min(v + size, HEIGHT_PX)
+            if u0 < u1 and v0 < v1:
+                there = self._mask[v0:v1, u0:u1]
+                np.maximum(there, patch[v0 - v : v1 - v, u0 - u : u1 - u], out=there)
+
+    def _smear(self, centre_px: FloatArray) -> None:
+        reach = int(SMEAR_RADIUS_PX + 6)
+        u, v = (int(value) for value in np.floor(centre_px))
+        u0, u1 = max(u - reach, 0), min(u + reach + 1, WIDTH_PX)
+        v0, v1 = max(v - reach, 0), min(v + reach + 1, HEIGHT_PX)
+        if u0 >= u1 or v0 >= v1:
+            return
+        du = np.arange(u0, u1) - centre_px[0]
+        dv = np.arange(v0, v1) - centre_px[1]
+        distance = np.hypot(du[None, :], dv[:, None])
+        cover = (1.0 / (1.0 + np.exp((distance - SMEAR_RADIUS_PX) / 1.5))).astype(np.float32)
+        there = self._frame[:, v0:v1, u0:u1]
+        there += cover * (self.look.smear.astype(np.float32)[:, None, None] - there)
+
+    def _add_noise(self) -> None:
+        """Add a window of the bank per channel and the half level that rounding needs."""
+        rows = self._draws.integers(0, (_BANK_FACTOR - 1) * HEIGHT_PX, 3)
+        columns = self._draws.integers(0, (_BANK_FACTOR - 1) * WIDTH_PX, 3)
+        for channel in range(3):
+            row, column = int(rows[channel]), int(columns[channel])
+            self._frame[channel] += self._bank[
+                channel, row : row + HEIGHT_PX, column : column + WIDTH_PX
+            ]
+        self._frame += np.float32(0.5)
+
+
+def _background(look: GelLook) -> Float32:
+    """Return (3, 240, 320): cubic interpolation of the colour table, smoothed with σ 20 px."""
+    table = look.background.astype(np.float32)
+    large = cv2.resize(table, (WIDTH_PX, HEIGHT_PX), interpolation=cv2.INTER_CUBIC)
+    smooth = cv2.GaussianBlur(large, (0, 0), 20.0, borderType=cv2.BORDER_REPLICATE)
+    return np.ascontiguousarray(np.asarray(smooth, dtype=np.float32).transpose(2, 0, 1))
+
+
+def _grain(look: GelLook, rng: np.random.Generator) -> Float32:
+    """Return (3, 240, 320): Gaussian pattern of correlation 1 px and the look's σ per channel."""
+    white = rng.standard_normal((HEIGHT_PX, WIDTH_PX, 3), dtype=np.float32)
+    smooth = np.asarray(cv2.GaussianBlur(white, (0, 0), 1.0), dtype=np.float32)
+    smooth *= np.float32(look.grain / float(smooth.std()))
+    return np.ascontiguousarray(smooth.transpose(2, 0, 1))
+
+
+def _inverse_stretch(displacement_px: FloatArray, rest_px: FloatArray) -> FloatArray:
+    """Return (63, 2, 2) inverse of I + ∂d/∂p, from central differences over the grid."""
+    grid = displacement_px.reshape(GRID_ROWS, GRID_COLS, 2)
+    rest = rest_px.reshape(GRID_ROWS, GRID_COLS, 2)
+    pitch_u = float(np.mean(np.diff(rest[..., 0], axis=1)))
+    pitch_v = float(np.mean(np.diff(rest[..., 1], axis=0)))
+    along_u = np.gradient(grid, pitch_u, axis=1).reshape(MARKERS, 2)
+    along_v = np.gradient(grid, pitch_v, axis=0).reshape(MARKERS, 2)
+    stretch = np.stack([along_u, along_v], axis=-1)
+    stretch[:, 0, 0] += 1.0
+    stretch[:, 1, 1] += 1.0
+    determinant = stretch[:, 0, 0] * stretch[:, 1, 1] - stretch[:, 0, 1] * stretch[:, 1, 0]
+    adjugate = np.empty_like(stretch)
+    adjugate[:, 0, 0], adjugate[:, 1, 1] = stretch[:, 1, 1], stretch[:, 0, 0]
+    adjugate[:, 0, 1], adjugate[:, 1, 0] = -stretch[:, 0, 1], -stretch[:, 1, 0]
+    # A fold of the gel (determinant near zero) is beyond the model: keep the dot finite.
+    return np.asarray(adjugate / np.maximum(determinant, 0.3)[:, None, None], dtype=np.float64)
+
+
+def _quadratic_form(inverse: Float32) -> tuple[Float32, Float32, Float32]:
+    """Return a, b, c (63, 1) of |A p|² = a x² + 2 b x y + c y²."""
+    a = inverse[:, 0, 0] ** 2 + inverse[:, 1, 0] ** 2
+    b = inverse[:, 0, 0] * inverse[:, 0, 1] + inverse[:, 1, 0] * inverse[:, 1, 1]
+    c = inverse[:, 0, 1] ** 2 + inverse[:, 1, 1] ** 2
+    return a[:, None], b[:, None], c[:, None]

@@ -1,0 +1,204 @@
+"""Two tactile streams and the wrench onto one 10 Hz clock, with a skew report (rulings 4).
+
+Ticks stand at 0.1, 0.2 ... 2.0 s after the onset. The wrench of a tick is the mean of the 100 ms
+before it; the markers are linearly interpolated between the two frames around it. What was not
+measured is NaN: nothing is extrapolated, repeated or filled in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.config.method import SAMPLES_PER_PROBE, TICK_S
+from backend.core.flow import (
+    CHANNELS,
+    FINGERS,
+    GRID_COLS,
+    GRID_ROWS,
+    MARKERS,
+    WRENCH_CHANNELS,
+    Finger,
+    FloatArray,
+    MarkerField,
+    MarkerState,
+    Recording,
+    read_only,
+)
+
+ROUNDING_S = 1e-7
+"""Clock stamps are whole microseconds: closer times are equal."""
+
+
+@dataclass(frozen=True, slots=True)
+class SyncLimits:
+    """How near a measurement must be to stand for a tick."""
+
+    nearest_frame_s: float = 0.060
+    """A tick whose nearest frame is farther away lies in a hole and is marked (reliability C5)."""
+    longest_hole_s: float = 0.200
+    """Frames farther apart than this are not interpolated between at all (reliability C5)."""
+    wrench_share: float = 0.8
+    """Least share of the samples expected in the 100 ms before a tick."""
+
+
+@dataclass(frozen=True, slots=True)
+class FingerTicks:
+    """One finger on the ticks.
+
+    ``displacement_px``: (20, 63, 2), NaN where not measured. ``near``: (20,) whether a frame lies
+    within 60 ms. ``inferred``, ``lost``: (20, 63) marker not seen, or given up, in a frame used.
+    ``skew_s``: (20,) distance of the nearest frame, inf without frames. ``hole_s``: longest time
+    without a frame inside the probe.
+    """
+
+    displacement_px: FloatArray
+    near: NDArray[np.bool_]
+    inferred: NDArray[np.bool_]
+    lost: NDArray[np.bool_]
+    skew_s: FloatArray
+    hole_s: float
+    dropped: int
+
+    def __post_init__(self) -> None:
+        for array in (self.displacement_px, self.near, self.inferred, self.lost, self.skew_s):
+            read_only(array)
+
+
+@dataclass(frozen=True, slots=True)
+class Synchronised:
+    """A probe on the common clock: ``tick_s`` (20,), ``wrench`` (20, 6) with NaN where missing."""
+
+    tick_s: FloatArray
+    wrench: FloatArray
+    left: FingerTicks
+    right: FingerTicks
+
+    def __post_init__(self) -> None:
+        read_only(self.tick_s)
+        read_only(self.wrench)
+
+    @property
+    def fingers(self) -> tuple[FingerTicks, FingerTicks]:
+        """Left, right."""
+        return self.left, self.right
+
+    @property
+    def skew_s(self) -> float:
+        """Largest distance between a tick and the nearest frame of either finger."""
+        return float(max(finger.skew_s.max() for finger in self.fingers))
+
+    def observation(self) -> NDArray[np.float32]:
+        """Return (20, 258): [finger][axis][row][col] in px, then the wrench; NaN where missing."""
+        both = np.stack([finger.displacement_px for finger in self.fingers], axis=1)
+        tactile = both.reshape(SAMPLES_PER_PROBE, 2, GRID_ROWS, GRID_COLS, 2)
+        flat = np.moveaxis(tactile, -1, 2).reshape(SAMPLES_PER_PROBE, -1)
+        rows = np.concatenate((flat, self.wrench), axis=1).astype(np.float32)
+        assert rows.shape == (SAMPLES_PER_PROBE, CHANNELS)
+        return rows
+
+
+def synchronise(
+    recording: Recording, onset_s: float, limits: SyncLimits | None = None
+) -> Synchronised:
+    """Bring ``recording`` onto the ticks after ``onset_s``; never raises on missing data."""
+    limits = limits or SyncLimits()
+    steps = np.arange(1, SAMPLES_PER_PROBE + 1, dtype=np.float64)
+    tick_s = np.asarray(onset_s + TICK_S * steps, dtype=np.float64)
+    by_finger = {finger: _on_ticks(recording.fields, finger, tick_s, limits) for finger in FINGERS}
+    wrench = wrench_on_ticks(recording.wrench_t_s, recording.wrench, tick_s, limits.wrench_share)
+    return Synchronised(tick_s, wrench, by_finger["left"], by_finger["right"])
+
+
+def wrench_on_ticks(
+    t_s: FloatArray, wrench: FloatArray, tick_s: FloatArray, least_share: float
+) -> FloatArray:
+    """Return (20, 6): the mean over (tick - 100 ms, tick] of ``wrench`` (n, 6) at ``t_s`` (n,).
+
+    NaN for a tick with fewer than ``least_share`` of the expected samples, or with one that is not
+    finite. The expected number follows from the median distance of the samples.
+    """
+    means = np.full((len(tick_s), WRENCH_CHANNELS), np.nan)
+    if len(t_s) < 2:
+        return means
+    expected = TICK_S / max(float(np.median(np.diff(t_s))), ROUNDING_S)
+    first = np.searchsorted(t_s, tick_s - TICK_S + ROUNDING_S, side="right")
+    last = np.searchsorted(t_s, tick_s + ROUNDING_S, side="right")
+    for tick, (start, end) in enumerate(zip(first, last, strict=True)):
+        block = wrench[start:end]
+        if len(block) >= least_share * expected and np.isfinite(block).all():
+            means[tick] = block.mean(axis=0)
+    return means
+
+
+def _on_ticks(
+    fields: tuple[MarkerField, ...], finger: Finger, tick_s: FloatArray, limits: SyncLimits
+) -> FingerTicks:
+    own = [field for field in fields if field.finger == finger]
+    dropped = _missing_numbers(own, tick_s)
+    # A field with NaN is not an observation: it counts as a frame that never came.
+    own = [field for field in own if np.isfinite(field.displacement_px).all()]
+    ticks = len(tick_s)
+    values = np.full((ticks, MARKERS, 2), np.nan)
+    inferred = np.zeros((ticks, MARKERS), dtype=np.bool_)
+    lost = np.zeros((ticks, MARKERS), dtype=np.bool_)
+    frame_s = np.array([field.t_s for field in own])
+    after = np.searchsorted(frame_s, tick_s - ROUNDING_S, side="left")
+    for tick, right in enumerate(after):
+        pair = _around(frame_s, tick_s[tick], int(right), limits.longest_hole_s)
+        if pair is None:
+            continue
+        before, part = own[pair[0]], pair[2]
+        later = own[pair[1]]
+        values[tick] = (1.0 - part) * before.displacement_px + part * later.displacement_px
+        state = np.maximum(before.state, later.state)
+        inferred[tick] = state >= MarkerState.INFERRED
+        lost[tick] = state == MarkerState.LOST
+    skew_s = _nearest(frame_s, tick_s)
+    near = (skew_s <= limits.nearest_frame_s + ROUNDING_S) & np.isfinite(values[:, 0, 0])
+    return FingerTicks(values, near, inferred, lost, skew_s, _hole(frame_s, tick_s), dropped)
+
+
+def _around(
+    frame_s: FloatArray, tick_s: float, after: int, longest_hole_s: float
+) -> tuple[int, int, float] | None:
+    """Return the frames before and after ``tick_s`` and the part of the way between them."""
+    if after >= len(frame_s):
+        return None
+    if abs(frame_s[after] - tick_s) <= ROUNDING_S:
+        return after, after, 0.0
+    if after == 0:
+        return None
+    gap_s = float(frame_s[after] - frame_s[after - 1])
+    if not gap_s <= longest_hole_s + ROUNDING_S:
+        return None
+    return after - 1, after, float(tick_s - frame_s[after - 1]) / gap_s
+
+
+def _nearest(frame_s: FloatArray, tick_s: FloatArray) -> FloatArray:
+    if not len(frame_s):
+        return np.full(len(tick_s), np.inf)
+    return np.asarray(np.abs(frame_s - tick_s[:, None]).min(axis=1), dtype=np.float64)
+
+
+def _hole(frame_s: FloatArray, tick_s: FloatArray) -> float:
+    """Return the longest time without a frame between the onset and the last tick."""
+    start, end = float(tick_s[0] - TICK_S), float(tick_s[-1])
+    before = frame_s[frame_s <= start + ROUNDING_S]
+    after = frame_s[frame_s >= end - ROUNDING_S]
+    edges = [float(before[-1]) if len(before) else start, float(after[0]) if len(after) else end]
+    inner = frame_s[(frame_s > start + ROUNDING_S) & (frame_s < end - ROUNDING_S)]
+    return float(np.diff(np.concatenate((edges[:1], inner, edges[1:]))).max())
+
+
+def _missing_numbers(fields: list[MarkerField], tick_s: FloatArray) -> int:
+    """Count frames that the sequence numbers say are missing within the probe."""
+    start, end = tick_s[0] - TICK_S, tick_s[-1]
+    numbers = [field.sequence for field in fields]
+    missing = 0
+    for i in range(1, len(fields)):
+        if fields[i].t_s >= start and fields[i - 1].t_s <= end:
+            missing += max(0, numbers[i] - numbers[i - 1] - 1)
+    return missing

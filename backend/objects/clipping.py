@@ -45,21 +45,28 @@ def overlap(first_mm: FloatArray, second_mm: FloatArray) -> Cut:
 def _inside(edges_of: FloatArray, within: FloatArray, tolerance_mm: float) -> Cut:
     """Cut every edge of one polygon to its stretch inside the other."""
     start, normal = edge_normals(within)
-    depth = tolerance_mm + (start * normal).sum(axis=-1)[..., None, :]
-    depth = depth - edges_of @ np.swapaxes(normal, -1, -2)
+    reach = tolerance_mm + (start * normal).sum(axis=-1)
+    depth = reach[..., None, :] - edges_of @ np.swapaxes(normal, -1, -2)
     after = np.roll(depth, -1, axis=-2)
-    drop = depth - after
-    with np.errstate(divide="ignore", invalid="ignore"):
-        crossing = depth / drop
-    entry = np.where(drop < 0.0, crossing, np.where((drop == 0.0) & (depth < 0.0), np.inf, 0.0))
-    leave = np.where(drop > 0.0, crossing, 1.0)
-    low = np.maximum(entry.max(axis=-1), 0.0)
-    high = np.minimum(leave.min(axis=-1), 1.0)
+    whole = depth.min(axis=-1) >= 0.0
+    whole &= np.roll(whole, -1, axis=-1)
+    low, high = np.zeros(whole.shape), whole.astype(np.float64)
+    # Only the few edges that are neither inside nor behind one half-plane need the full cut.
+    doubtful = (np.maximum(depth, after).min(axis=-1) >= 0.0) & ~whole
+    low[doubtful], high[doubtful] = _stretch(depth[doubtful], after[doubtful])
     along = np.roll(edges_of, -1, axis=-2) - edges_of
-    length = np.hypot(along[..., 0], along[..., 1])
-    kept = (high - low) * length > EDGE_TOLERANCE_MM
+    kept = (high - low) * np.hypot(along[..., 0], along[..., 1]) > EDGE_TOLERANCE_MM
     low, high = np.where(kept, low, 0.0), np.where(kept, high, 0.0)
     return Cut(edges_of + low[..., None] * along, edges_of + high[..., None] * along, kept)
+
+
+def _stretch(depth: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return where (0..1) edges enter and leave all half-planes, from the depths of their ends."""
+    drop = depth - after
+    crossing = np.divide(depth, drop, out=np.zeros_like(depth), where=drop != 0.0)
+    entry = np.where(drop < 0.0, crossing, 0.0).max(axis=-1)
+    leave = np.where(drop > 0.0, crossing, 1.0).min(axis=-1)
+    return np.maximum(entry, 0.0), np.minimum(leave, 1.0)
 
 
 def area_mm2(cut: Cut) -> FloatArray:

@@ -1,0 +1,73 @@
+"""What holds for every test: no screen, no network, no operator's files, nothing left behind."""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+os.environ["QT_SCALE_FACTOR"] = "1"
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import itertools
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.leaks import leaks_since, snapshot
+
+LOOPBACK = ("127.", "::1", "localhost")
+_numbers = itertools.count()
+
+
+class NetworkForbiddenError(RuntimeError):
+    """A test tried to reach another machine."""
+
+
+def _guarded(name: str) -> Any:
+    original = getattr(socket.socket, name)
+
+    def call(self: socket.socket, *args: Any) -> Any:
+        address = args[-1]
+        if self.family in (socket.AF_INET, socket.AF_INET6):
+            host = str(address[0]) if isinstance(address, tuple) else str(address)
+            if not host.startswith(LOOPBACK):
+                raise NetworkForbiddenError(f"tests reach no other machine: {host}")
+        return original(self, *args)
+
+    return call
+
+
+@pytest.fixture(autouse=True, scope="session")
+def no_network() -> Iterator[None]:
+    """Refuse sockets to anything but this machine."""
+    patch = pytest.MonkeyPatch()
+    for name in ("connect", "connect_ex", "sendto"):
+        patch.setattr(socket.socket, name, _guarded(name))
+    yield
+    patch.undo()
+
+
+@pytest.fixture(autouse=True)
+def isolated_settings(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> Path:
+    """Put settings, data and caches in a folder of the test (made when first written)."""
+    folder = tmp_path_factory.getbasetemp() / f"operator-{next(_numbers)}"
+    monkeypatch.setenv("TOUCHDOWN_DATA", str(folder / "data"))
+    for name in ("CONFIG", "DATA", "CACHE", "STATE"):
+        monkeypatch.setenv(f"XDG_{name}_HOME", str(folder / name.lower()))
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def no_leaks(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Fail a test that leaves a top-level widget, a thread, a child process or a socket."""
+    before = snapshot()
+    yield
+    if request.node.get_closest_marker("allow_leaks") is None:
+        found = leaks_since(before)
+        if found:
+            pytest.fail(f"left behind: {'; '.join(found)}", pytrace=False)

@@ -1,0 +1,110 @@
+"""What a test may leave behind: nothing. Cheap snapshots; costly work only where they differ."""
+
+from __future__ import annotations
+
+import gc
+import sys
+import threading
+from dataclasses import dataclass
+
+import psutil
+
+GRACE_S = 2.0
+"""A thread or child that is just ending gets this long."""
+
+HELPERS = ("resource_tracker", "forkserver")
+"""Processes that multiprocessing keeps for the life of the interpreter."""
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """What is alive at one instant; widgets by identity."""
+
+    threads: frozenset[threading.Thread]
+    children: frozenset[int]
+    sockets: frozenset[tuple[str, ...]]
+    widgets: frozenset[int]
+
+
+def snapshot() -> Snapshot:
+    return Snapshot(
+        frozenset(_threads()),
+        frozenset(child.pid for child in _children()),
+        frozenset(_sockets()),
+        frozenset(id(widget) for widget in _widgets()),
+    )
+
+
+def leaks_since(before: Snapshot) -> list[str]:
+    """Return a sentence for each thing that lives now and did not at ``before``."""
+    if snapshot_is_within(before):
+        return []
+    for thread in _threads():
+        if thread not in before.threads:
+            thread.join(GRACE_S)
+    psutil.wait_procs(
+        [child for child in _children() if child.pid not in before.children], timeout=GRACE_S
+    )
+    _delete_deferred()
+    gc.collect()
+    _delete_deferred()
+    found = [f"thread {t.name!r}" for t in _threads() if t not in before.threads]
+    found += [
+        f"child process {child.pid} ({' '.join(child.cmdline())[:80]})"
+        for child in _children()
+        if child.pid not in before.children
+    ]
+    found += [f"socket {key}" for key in _sockets() if key not in before.sockets]
+    found += [
+        f"top-level widget {widget!r}" for widget in _widgets() if id(widget) not in before.widgets
+    ]
+    return found
+
+
+def snapshot_is_within(before: Snapshot) -> bool:
+    now = snapshot()
+    return (
+        now.threads <= before.threads
+        and now.children <= before.children
+        and now.sockets <= before.sockets
+        and now.widgets <= before.widgets
+    )
+
+
+def _threads() -> list[threading.Thread]:
+    # Threads that Qt or C++ started show up as dummies; they are not ours to join.
+    return [t for t in threading.enumerate() if not isinstance(t, threading._DummyThread)]
+
+
+def _children() -> list[psutil.Process]:
+    found = []
+    for child in psutil.Process().children():
+        try:
+            # Everything still running counts, and so does what nobody waited for.
+            if not any(word in " ".join(child.cmdline()) for word in HELPERS):
+                found.append(child)
+        except psutil.ZombieProcess:
+            found.append(child)
+        except psutil.NoSuchProcess:
+            continue
+    return found
+
+
+def _sockets() -> list[tuple[str, ...]]:
+    connections = psutil.Process().net_connections(kind="inet")
+    return [(str(c.fd), str(c.laddr), str(c.raddr), c.status) for c in connections]
+
+
+def _widgets() -> list[object]:
+    module = sys.modules.get("PySide6.QtWidgets")
+    if module is None or module.QApplication.instance() is None:
+        return []
+    return [widget for widget in module.QApplication.topLevelWidgets() if widget.parent() is None]
+
+
+def _delete_deferred() -> None:
+    core = sys.modules.get("PySide6.QtCore")
+    if core is None or core.QCoreApplication.instance() is None:
+        return
+    core.QCoreApplication.sendPostedEvents(None, core.QEvent.Type.DeferredDelete)
+    core.QCoreApplication.processEvents()

@@ -26,11 +26,15 @@ DARK_TEXT: frozenset[Colour] = frozenset({"green", "yellow"})
 
 @dataclass(frozen=True, slots=True)
 class PillState:
-    """What the pill shows; every state has its own word and icon shape."""
+    """What the pill shows; every state has its own word and icon shape.
+
+    ``note`` is a small second line.
+    """
 
     word: str
     shape: Shape
     colour: Colour
+    note: str = ""
 
 
 class StatePill(QWidget):
@@ -59,7 +63,7 @@ class StatePill(QWidget):
         self.setFont(ui_font(self._theme.scale, 1.0, 600))
         metrics = self.fontMetrics()
         width = max(metrics.horizontalAdvance(w) for w in (self.state.word, "CANCELLING"))
-        return QSize(width + 52, max(34, metrics.height() + 14))
+        return QSize(width + 52, 2 * metrics.height() + 6)
 
     def paintEvent(self, _event: QPaintEvent) -> None:
         """Draw box, shape and word."""
@@ -73,8 +77,14 @@ class StatePill(QWidget):
         draw_shape(painter, self.state.shape, QPointF(20, self.height() / 2), ink)
         painter.setPen(ink)
         painter.setFont(ui_font(self._theme.scale, 1.0, 600))
-        box = QRectF(34, 0, self.width() - 40, self.height())
-        painter.drawText(box, int(Qt.AlignmentFlag.AlignVCenter), self.state.word)
+        middle = self.height() / 2 if self.state.note else self.height()
+        box = QRectF(36, 0, self.width() - 40, middle + 3 * bool(self.state.note))
+        low, centre = Qt.AlignmentFlag.AlignBottom, Qt.AlignmentFlag.AlignVCenter
+        painter.drawText(box, int(low if self.state.note else centre), self.state.word)
+        if self.state.note:
+            painter.setFont(ui_font(self._theme.scale, 0.78))
+            box = QRectF(36, middle + 1, self.width() - 40, middle)
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignTop), self.state.note)
 
 
 def draw_shape(painter: QPainter, shape: Shape, at: QPointF, ink: QColor, size: float = 6) -> None:

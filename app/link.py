@@ -1,0 +1,72 @@
+"""What the window needs of a bench; ``backend.session.Session`` satisfies it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from backend.core.flow import Finger, MarkerField, TactileFrame
+from backend.core.hub import Hub
+from backend.core.stream import SampleStream, Stream
+from backend.devices.interlock import Interlock
+from backend.devices.protocols import Device
+from backend.objects.catalogue import Catalogue
+from backend.runs.requests import RunStatus, StackRequest
+
+
+class EngineLink(Protocol):
+    """The orders that change a run in progress."""
+
+    def pause(self) -> None:
+        """Pause at the next safe place."""
+
+    def resume(self) -> None:
+        """Go on."""
+
+    def cancel(self) -> None:
+        """End in an orderly way."""
+
+
+class Link(Protocol):
+    """A live bench. Every call returns at once, except ``close`` (bounded)."""
+
+    simulated: bool
+    hub: Hub
+    interlock: Interlock
+    frames: Mapping[Finger, Stream[TactileFrame]]
+    fields: Mapping[Finger, Stream[MarkerField]]
+    wrench: SampleStream
+    catalogue: Catalogue
+    pace: float
+
+    @property
+    def engine(self) -> EngineLink:
+        """The run in progress."""
+
+    @property
+    def devices(self) -> Mapping[str, Device]:
+        """The devices of the present scene by name."""
+
+    def clock_s(self) -> float:
+        """Return the bench clock."""
+
+    def status(self) -> RunStatus:
+        """Return how the run stands."""
+
+    def start(self, request: StackRequest) -> None:
+        """Begin a run; raises ``RefusedError`` with the reason."""
+
+    def stop(self) -> None:
+        """Software stop."""
+
+    def reset(self) -> None:
+        """Clear the stop latch and the faults."""
+
+    def answer(self, yes: bool) -> None:
+        """Approve or decline the action that waits."""
+
+    def open(self) -> None:
+        """Start the live thread."""
+
+    def close(self) -> None:
+        """Stop and end it."""

@@ -1,0 +1,187 @@
+"""The story of a run, told by its facts: the same for a live run and for a journal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from backend.core.facts import (
+    ActionChosen,
+    ApprovalAwaited,
+    BeliefUpdated,
+    Fact,
+    PatchEstimated,
+    PhaseEntered,
+    Released,
+    RunFinished,
+    RunStarted,
+    Said,
+    StabilityJudged,
+    TrialFinished,
+    TrialStarted,
+)
+from backend.core.flow import BeliefMap, Fall, FloatArray, Outcome, PlaceAction, Stability
+from widgets.belief_scene import BeliefScene
+
+Offset = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeLook:
+    """What is known of one probe so far."""
+
+    probe: int
+    offset_mm: Offset | None = None
+    belief: BeliefMap | None = None
+    stability: Stability | None = None
+    action: PlaceAction | None = None
+    latency_ms: float | None = None
+
+
+@dataclass
+class TrialStory:
+    """One trial: its probes in order and how it ended."""
+
+    trial: int
+    seed: int
+    start_mm: Offset | None
+    probes: list[ProbeLook] = field(default_factory=list)
+    phase: str = ""
+    finished: TrialFinished | None = None
+    stands: bool | None = None
+    fall: Fall | None = None
+
+    def path(self, upto: int) -> tuple[Offset, ...]:
+        """Offsets of the first ``upto`` probes."""
+        return tuple(p.offset_mm for p in self.probes[:upto] if p.offset_mm is not None)
+
+    def frame_shift_mm(self) -> Offset | None:
+        """Where the true bottom lies in the frame of the commanded offsets.
+
+        The offsets are commanded ones; a grasp offset moves the piece, so that the whole map is
+        displaced by commanded minus true start.
+        """
+        first = next((p.offset_mm for p in self.probes if p.offset_mm is not None), None)
+        if first is None or self.start_mm is None:
+            return None
+        return first[0] - self.start_mm[0], first[1] - self.start_mm[1]
+
+
+class RunStory:
+    """Takes facts in order; everything else is reading."""
+
+    def __init__(self) -> None:
+        self.head: RunStarted | None = None
+        self.trials: list[TrialStory] = []
+        self.said = ""
+        self.ended: RunFinished | None = None
+        self.awaiting: PlaceAction | None = None
+        self.version = 0
+        self._steps: dict[type[Fact], Callable[..., None]] = {
+            RunStarted: self._run_started,
+            TrialStarted: self._trial_started,
+            PhaseEntered: self._phase,
+            PatchEstimated: self._patch,
+            BeliefUpdated: self._belief,
+            StabilityJudged: self._stability,
+            ActionChosen: self._action,
+            ApprovalAwaited: self._approval,
+            Released: self._released,
+            TrialFinished: self._trial_finished,
+            RunFinished: self._run_finished,
+            Said: self._said,
+        }
+
+    @property
+    def trial(self) -> TrialStory | None:
+        """The newest trial."""
+        return self.trials[-1] if self.trials else None
+
+    @property
+    def outcomes(self) -> tuple[Outcome, ...]:
+        """Outcomes of the finished trials."""
+        return tuple(t.finished.outcome for t in self.trials if t.finished is not None)
+
+    def take(self, fact: Fact) -> None:
+        """Take the next fact."""
+        step = self._steps.get(type(fact))
+        if step is not None:
+            step(fact)
+            self.version += 1
+
+    def _run_started(self, fact: RunStarted) -> None:
+        self.head, self.ended, self.awaiting, self.said = fact, None, None, ""
+        self.trials.clear()
+
+    def _trial_started(self, fact: TrialStarted) -> None:
+        self.trials.append(TrialStory(fact.trial, fact.seed, fact.start_mm))
+
+    def _phase(self, fact: PhaseEntered) -> None:
+        self.awaiting = None
+        if self.trial is not None:
+            self.trial.phase = fact.phase
+
+    def _patch(self, fact: PatchEstimated) -> None:
+        self._note(fact.probe, offset_mm=fact.offset_mm)
+
+    def _belief(self, fact: BeliefUpdated) -> None:
+        self._note(fact.probe, belief=fact.belief)
+
+    def _stability(self, fact: StabilityJudged) -> None:
+        self._note(fact.probe, stability=fact.stability)
+
+    def _action(self, fact: ActionChosen) -> None:
+        self._note(fact.probe, action=fact.action, latency_ms=fact.latency_ms)
+
+    def _approval(self, fact: ApprovalAwaited) -> None:
+        self.awaiting = fact.action
+
+    def _released(self, fact: Released) -> None:
+        if self.trial is not None:
+            self.trial.stands, self.trial.fall = fact.stands, fact.fall
+
+    def _trial_finished(self, fact: TrialFinished) -> None:
+        if self.trial is not None:
+            self.trial.finished = fact
+
+    def _run_finished(self, fact: RunFinished) -> None:
+        self.ended, self.awaiting = fact, None
+
+    def _said(self, fact: Said) -> None:
+        self.said = fact.text
+
+    def _note(self, probe: int, **known: object) -> None:
+        """Add what is known to the look of ``probe`` (a repeated number replaces the older)."""
+        trial = self.trial
+        if trial is None:
+            return
+        for index, look in enumerate(trial.probes):
+            if look.probe == probe:
+                trial.probes[index] = replace(look, **known)  # type: ignore[arg-type]
+                return
+        trial.probes.append(replace(ProbeLook(probe), **known))  # type: ignore[arg-type]
+
+
+def scene_of(
+    trial: TrialStory, index: int, face: FloatArray | None, bottom: FloatArray | None
+) -> BeliefScene:
+    """Return the belief scene after probe ``index`` (from 0).
+
+    ``face``, ``bottom``: (k, 2) outlines; the true bottom is shown only after the trial.
+    """
+    look = trial.probes[index]
+    truth = None
+    shift = trial.frame_shift_mm()
+    if trial.finished is not None and shift is not None and bottom is not None:
+        truth = bottom + shift
+    action = look.action
+    return BeliefScene(
+        belief=look.belief,
+        stability=look.stability,
+        path=trial.path(index + 1),
+        step_mm=action.step_mm if action is not None and action.kind == "shift" else None,
+        target_mm=action.target_mm if action is not None and action.kind == "shift" else None,
+        clipped=action.clipped if action is not None else False,
+        face=face,
+        truth=truth,
+    )

@@ -1,0 +1,260 @@
+"""Presenter of the Stack workspace: facts to views, orders to the bench."""
+
+from __future__ import annotations
+
+from app.link import Link
+from app.run_story import ProbeLook, RunStory, scene_of
+from app.stack_page import StackPage
+from app.tally import wilson
+from backend.core.facts import Fact
+from backend.core.faults import InputError, RefusedError
+from backend.core.flow import FloatArray, Outcome
+from backend.devices.protocols import RobotMode
+from backend.objects.catalogue import Piece
+from backend.runs.requests import Mode, RunState, RunStatus, StackRequest, Strategy
+from widgets.belief_scene import BeliefScene
+from widgets.decision_panel import DecisionText, decide_in_words, signed_mm
+from widgets.fault_cards import CardText, FaultCards
+from widgets.run_panel import RunButtons, RunForm
+from widgets.score_panel import WORDS, Score
+
+ACTIVE = frozenset(
+    {RunState.PREPARING, RunState.RUNNING, RunState.PAUSING, RunState.PAUSED, RunState.CANCELLING,
+     RunState.FINISHING}
+)  # fmt: skip
+MOVING = ACTIVE - {RunState.PAUSED}
+
+
+class StackPresenter:
+    """Holds the story of the present run and shows it."""
+
+    def __init__(self, link: Link, page: StackPage, cards: FaultCards) -> None:
+        self._link, self._page, self._cards = link, page, cards
+        self.story = RunStory()
+        self._shown_version = -1
+        self._chosen: int | None = None
+        self._scenes: dict[tuple[int, int, bool], tuple[ProbeLook, BeliefScene]] = {}
+        self._buttons: RunButtons | None = None
+        self._asking = ""
+
+    # -- orders -----------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Begin the run that is filled in."""
+        if self.busy():
+            return
+        try:
+            self._link.start(request_of(self._page.run.form()))
+        except RefusedError as error:
+            self._cards.show_card(CardText(error.reason, "The run was not started.", error.detail,
+                                           "", reset=self._link.interlock.latched))  # fmt: skip
+        except InputError as error:
+            self._cards.show_card(
+                CardText("INPUT", error.what, f"In {error.where}.", error.fix, reset=False)
+            )
+
+    def pause_or_resume(self) -> None:
+        """Pause, or go on."""
+        if self._link.status().state in (RunState.PAUSED, RunState.PAUSING):
+            self._link.engine.resume()
+        else:
+            self._link.engine.pause()
+
+    def cancel(self) -> None:
+        """End the run in an orderly way."""
+        self._link.engine.cancel()
+
+    def approve(self) -> None:
+        """Carry out the move that waits."""
+        if self._link.status().awaiting is not None:
+            self._link.answer(True)
+
+    def decline(self) -> None:
+        """Do not carry it out."""
+        if self._link.status().awaiting is not None:
+            self._link.answer(False)
+
+    def choose(self, index: int) -> None:
+        """Look back at a probe; the newest one follows the run again."""
+        trial = self.story.trial
+        last = len(trial.probes) - 1 if trial is not None else 0
+        self._chosen = None if index >= last else index
+        self._shown_version = -1
+
+    def busy(self) -> bool:
+        """Whether a run is active."""
+        return self._link.status().state in ACTIVE
+
+    def moving(self) -> bool:
+        """Whether something may be moving (Space then means STOP)."""
+        status = self._link.status()
+        if status.state in MOVING and status.awaiting is None:
+            return True
+        arm = self._link.devices.get("arm")
+        mode = getattr(arm, "status", None)
+        return mode is not None and mode().robot_mode is RobotMode.MOVING
+
+    # -- showing ----------------------------------------------------------------------------------
+
+    def take(self, fact: Fact) -> None:
+        """Take one fact (drawn with the next tick)."""
+        trials = len(self.story.trials)
+        self.story.take(fact)
+        if len(self.story.trials) != trials:
+            self._chosen = None
+            self._scenes.clear()
+
+    def draw(self) -> None:
+        """Show what changed."""
+        status = self._link.status()
+        self._draw_buttons(status)
+        self._draw_question(status)
+        if self.story.version != self._shown_version:
+            self._shown_version = self.story.version
+            self._draw_story()
+
+    def _draw_buttons(self, status: RunStatus) -> None:
+        active = status.state in ACTIVE
+        ready = bool(self._link.devices) and not self._link.interlock.latched
+        why = ""
+        if self._link.interlock.latched:
+            why = "Press Reset first"
+        elif not ready:
+            why = "The bench is being prepared"
+        buttons = RunButtons(
+            start=ready and not active,
+            pause=status.state in (RunState.RUNNING, RunState.PAUSING, RunState.PAUSED),
+            cancel=active and status.state is not RunState.CANCELLING,
+            paused=status.state in (RunState.PAUSED, RunState.PAUSING),
+            why_not=why,
+        )
+        if buttons != self._buttons:
+            self._buttons = buttons
+            self._page.run.show_buttons(buttons)
+        text = f"trial {status.trial + 1} of {status.trials}" if active and status.trials else ""
+        if text and status.phase:
+            text += f", probe {status.probe}: {status.phase}" if status.probe else ""
+        self._page.run.detail.setText(text)
+
+    def _draw_question(self, status: RunStatus) -> None:
+        asking, button = "", "Approve  A"
+        if status.awaiting is not None:
+            kind = status.awaiting.kind
+            asking = {"release": "Release here?", "shift": "Take this step?"}.get(kind, "Go on?")
+            if self._page.run.form().mode == "step":
+                button = "Next step  N"
+        if asking != self._asking:
+            self._asking = asking
+            self._page.decision.show_question(asking, button)
+
+    def _draw_story(self) -> None:
+        trial = self.story.trial
+        self._page.score.show_score(self._score())
+        if trial is None or not trial.probes:
+            self._page.belief.show_scene(BeliefScene())
+            self._page.legend.show_truth(False)
+            self._page.strip.show_probes([], -1)
+            self._page.belief_panel.detail.setText("")
+            waiting = "The first press follows." if trial is not None else ""
+            if waiting:
+                self._page.decision.show_text(DecisionText("Probing", "", "", waiting))
+            return
+        chosen = len(trial.probes) - 1 if self._chosen is None else self._chosen
+        scenes = [self._scene(i) for i in range(len(trial.probes))]
+        looks = trial.probes
+        self._page.strip.show_probes(
+            [(s, _caption(look)) for s, look in zip(scenes, looks, strict=True)], chosen
+        )
+        scene, look = scenes[chosen], looks[chosen]
+        if self._page.belief.scene is not scene:
+            self._page.belief.show_scene(scene)
+        self._page.legend.show_truth(scene.truth is not None)
+        self._page.decision.show_text(self._decision(look, looking_back=self._chosen is not None))
+        self._page.belief_panel.detail.setText(_belief_detail(scene, look))
+
+    def _decision(self, look: ProbeLook, *, looking_back: bool) -> DecisionText:
+        text = decide_in_words(look.stability, look.action)
+        trial = self.story.trial
+        if looking_back:
+            return DecisionText(text.verdict, text.tone, text.margin,
+                                f"Looking back at probe {look.probe}. {text.text}")  # fmt: skip
+        if trial is None or trial.finished is None:
+            return text
+        done = trial.finished
+        placed = done.outcome is Outcome.PLACED
+        mark = "\N{CHECK MARK}" if placed else "\N{MULTIPLICATION X}"
+        word = WORDS[done.outcome].capitalize()
+        margin = "" if done.margin_mm is None else signed_mm(done.margin_mm)
+        return DecisionText(f"{mark} {word}", "good" if placed else "bad", margin, done.reason)
+
+    def _scene(self, index: int) -> BeliefScene:
+        trial = self.story.trial
+        assert trial is not None
+        key = (len(self.story.trials), index, trial.finished is not None)
+        look = trial.probes[index]
+        kept = self._scenes.get(key)
+        if kept is None or kept[0] is not look:
+            kept = look, scene_of(trial, index, *self._outlines())
+            self._scenes[key] = kept
+        return kept[1]
+
+    def _outlines(self) -> tuple[FloatArray | None, FloatArray | None]:
+        head = self.story.head
+        if head is None:
+            return None, None
+        return self._outline(head.piece), self._outline(head.bottom.split("+")[-1])
+
+    def _outline(self, name: str) -> FloatArray | None:
+        piece = self._piece(name)
+        return None if piece is None else piece.face.polygon(96)
+
+    def _piece(self, name: str) -> Piece | None:
+        try:
+            return self._link.catalogue.piece(name)
+        except InputError:
+            return None
+
+    def _score(self) -> Score:
+        outcomes = self.story.outcomes
+        head, last = self.story.head, ""
+        for trial in reversed(self.story.trials):
+            if trial.finished is not None:
+                done = trial.finished
+                last = f"Seed {done.seed}: {WORDS[done.outcome]} after {done.probes} probes."
+                break
+        placed = sum(o is Outcome.PLACED for o in outcomes)
+        trials = head.trials if head is not None else 0
+        return Score(outcomes, trials, wilson(placed, len(outcomes)), last)
+
+
+def request_of(form: RunForm) -> StackRequest:
+    """Return the request of a form."""
+    bottoms = (form.under, form.bottom) if form.under else (form.bottom,)
+    strategy: Strategy = "pick-and-place" if form.strategy == "pick-and-place" else "paper"
+    modes: dict[str, Mode] = {"auto": "auto", "approve": "approve", "step": "step"}
+    return StackRequest(
+        piece=form.piece,
+        bottoms=bottoms,
+        seed=form.seed,
+        trials=form.trials,
+        strategy=strategy,
+        mode=modes.get(form.mode, "auto"),
+    )
+
+
+def _caption(look: ProbeLook) -> str:
+    if look.stability is None:
+        return f"{look.probe}"
+    return f"{look.probe}: {signed_mm(look.stability.margin_mm)}"
+
+
+def _belief_detail(scene: BeliefScene, look: ProbeLook) -> str:
+    if scene.belief is None:
+        return ""
+    largest = float(scene.belief.probability.max())
+    text = f"probe {look.probe}, largest p {largest:.2f}"
+    if look.stability is not None:
+        text += f", verdict from the {look.stability.source}"
+    if look.latency_ms is not None:
+        text += f", {look.latency_ms:.1f} ms"
+    return text

@@ -1,0 +1,123 @@
+"""Where everything of the Stack workspace stands: feel on the left, believe, then decide."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from PySide6.QtWidgets import QComboBox, QHBoxLayout, QToolButton, QVBoxLayout, QWidget
+
+from backend.core.flow import FINGERS, Finger
+from widgets.belief_legend import BeliefLegend
+from widgets.belief_view import BeliefView
+from widgets.colour_maps import MAPS
+from widgets.decision_panel import DecisionPanel
+from widgets.force_traces import TracePlot
+from widgets.panel import Panel
+from widgets.probe_strip import ProbeStrip
+from widgets.run_panel import RunPanel
+from widgets.score_panel import ScorePanel
+from widgets.side_view import SideView
+from widgets.tactile_view import TactileView
+from widgets.theme import Theme
+
+
+@dataclass(frozen=True, slots=True)
+class StackIntents:
+    """What the operator can ask for on this page."""
+
+    start: Callable[[], None]
+    pause: Callable[[], None]
+    cancel: Callable[[], None]
+    approve: Callable[[], None]
+    decline: Callable[[], None]
+    choose: Callable[[int], None]
+
+
+class StackPage(QWidget):
+    """The views of one stacking run."""
+
+    def __init__(self, theme: Theme, intents: StackIntents) -> None:
+        super().__init__()
+        self.setObjectName("frame")
+        titles = {"left": "Tactile L", "right": "Tactile R"}
+        self.tactile: dict[Finger, TactileView] = {f: TactileView(theme, f) for f in FINGERS}
+        self.tactile_panels = {f: Panel(titles[f], self.tactile[f]) for f in FINGERS}
+        self.force = TracePlot(theme, "Force", "F", "N", 10.0)
+        self.moment = TracePlot(theme, "Moment", "T", "N\N{MIDDLE DOT}m", 0.2)
+        self.belief = BeliefView(theme)
+        self.legend = BeliefLegend(theme)
+        self.decision = DecisionPanel(intents.approve, intents.decline)
+        self.strip = ProbeStrip(theme, intents.choose)
+        self.run = RunPanel(theme, intents.start, intents.pause, intents.cancel)
+        self.score = ScorePanel(theme)
+        self.side = SideView(theme)
+        self.belief_panel = self._belief_panel()
+        self.strip_panel = Panel("Probes of this trial", self.strip)
+        self.side_panel = Panel("Bench from the side", self.side)
+        self._arrange()
+
+    def _belief_panel(self) -> Panel:
+        panel = Panel("Belief map", self.belief)
+        panel.column.addWidget(self.legend)
+        chooser = QComboBox()
+        chooser.addItems(list(MAPS))
+        chooser.setAccessibleName("Colour map")
+        chooser.setToolTip("Colour map of the belief")
+        chooser.currentIndexChanged.connect(self._choose_map)
+        panel.header.addWidget(chooser)
+        return panel
+
+    def _choose_map(self, index: int) -> None:
+        for view in (self.belief, *(t.view for t in self.strip.thumbnails)):
+            view.show_map(MAPS[index])
+
+    def _traces_panel(self) -> Panel:
+        panel = Panel("Force and moment at the wrist")
+        panel.column.setSpacing(2)
+        panel.column.addWidget(self.force, 1)
+        panel.column.addWidget(self.moment, 1)
+        fit = QToolButton()
+        fit.setText("Fit")
+        fit.setProperty("role", "plain")
+        fit.setToolTip("Set both ranges to what is shown now")
+        fit.setAccessibleName("Fit the ranges of force and moment")
+        fit.clicked.connect(self.fit)
+        panel.header.addWidget(fit)
+        return panel
+
+    def fit(self) -> None:
+        """Fit the ranges of both plots."""
+        self.force.fit()
+        self.moment.fit()
+
+    def _arrange(self) -> None:
+        fingers = QHBoxLayout()
+        fingers.setSpacing(8)
+        for panel in self.tactile_panels.values():
+            fingers.addWidget(panel, 1)
+        self.traces_panel = self._traces_panel()
+        feel = _column((fingers, 9), (self.traces_panel, 11))
+        believe = _column((self.decision, 0), (self.belief_panel, 1), (self.strip_panel, 0))
+        decide = _column((self.run, 0), (self.score, 0), (self.side_panel, 1))
+        self._right = QWidget()
+        self._right.setLayout(decide)
+        decide.setContentsMargins(0, 0, 0, 0)
+        row = QHBoxLayout(self)
+        row.setContentsMargins(10, 8, 10, 8)
+        row.setSpacing(8)
+        row.addLayout(feel, 10)
+        row.addLayout(believe, 9)
+        row.addWidget(self._right, 5)
+        self._right.setMinimumWidth(264)
+
+
+def _column(*parts: tuple[QWidget | QHBoxLayout, int]) -> QVBoxLayout:
+    column = QVBoxLayout()
+    column.setSpacing(8)
+    for part, stretch in parts:
+        if isinstance(part, QWidget):
+            column.addWidget(part, stretch)
+        else:
+            column.addLayout(part, stretch)
+    return column

@@ -72,3 +72,12 @@ def _fill_group(
     matrix = _ENERGY[unseen[:, :, None], unseen[:, None, :]]
     pull = -_ENERGY[unseen] @ filled[frames]
     filled[frames[:, None], unseen] = np.linalg.solve(matrix, pull)
+
+
+def misfit(field: FloatArray) -> FloatArray:
+    """Return how far each marker lies from where all others would put it.
+
+    ``field``: (63, 2), complete; the result has the same shape and unit. It is the residual of
+    leave-one-out filling, zero for affine fields.
+    """
+    return np.asarray((_ENERGY @ field) / np.diag(_ENERGY)[:, None], dtype=np.float64)

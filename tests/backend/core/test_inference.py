@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from backend.core.inference import fill_field
+from backend.core.inference import fill_field, misfit
 
 ROW, COL = np.divmod(np.arange(63), 9)
 
@@ -69,3 +69,12 @@ def test_each_frame_is_filled_by_itself() -> None:
 def test_wrong_shapes_are_refused() -> None:
     with pytest.raises(ValueError, match="63"):
         fill_field(np.zeros((1, 62, 2)), np.ones((1, 62), dtype=bool))
+
+
+def test_misfit_is_the_error_of_leaving_one_marker_out() -> None:
+    rng = np.random.default_rng(4)
+    field = rng.normal(size=(63, 2))
+    left_out = fill_field(np.repeat(field[None], 63, axis=0), ~np.eye(63, dtype=bool))
+    expected = field - left_out[np.arange(63), np.arange(63)]
+    np.testing.assert_allclose(misfit(field), expected, atol=1e-9)
+    np.testing.assert_allclose(misfit(affine(rng)), 0.0, atol=1e-3)

@@ -38,6 +38,7 @@ def save_state(path: Path, trainer: Trainer, data: str) -> None:
         "done": trainer.done,
         "best_epoch": trainer.best_epoch,
         "best_loss": trainer.best_loss,
+        "best_figures": trainer.best_figures,
     }
     header = {"format": FORMAT, "facts": json.dumps(facts)}
     write_atomically(path, save_tensors(tensors, metadata=header))
@@ -56,6 +57,7 @@ def load_state(path: Path, trainer: Trainer, data: str) -> None:
         _restore(trainer, tensors)
         trainer.done, trainer.best_epoch = int(facts["done"]), int(facts["best_epoch"])
         trainer.best_loss = float(facts["best_loss"])
+        trainer.best_figures = (float(facts["best_figures"][0]), float(facts["best_figures"][1]))
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
         raise InputError("There is no usable training to resume.", str(path), FIX) from error
 

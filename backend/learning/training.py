@@ -45,7 +45,8 @@ class Trainer:
     """Model, optimiser and data of one training.
 
     The order of the samples depends on seed and epoch only, so that no generator state is needed to
-    resume. The weights kept are those of the epoch with the lowest validation loss.
+    resume. The weights kept are those of the epoch with the lowest validation loss;
+    ``best_figures`` are their IoU and point accuracy on the validation side.
     """
 
     def __init__(self, rows: TrainingRows, settings: TrainingSettings) -> None:
@@ -63,6 +64,7 @@ class Trainer:
         self.base_rate = float(rows.patch[train].mean())
         self.done = 0
         self.best_epoch, self.best_loss = 0, float("inf")
+        self.best_figures = (0.0, 0.0)
         self.best_state = self._weights()
 
     def epochs(self, cancelled: Callable[[], bool] = lambda: False) -> Iterator[EpochReport]:
@@ -100,17 +102,18 @@ class Trainer:
         logits = predict_logits(self.model.eval(), self._inputs[held_out])
         targets = self._targets[held_out]
         loss = float(bce(logits, targets))
-        if loss < self.best_loss:
-            self.best_epoch, self.best_loss, self.best_state = self.done, loss, self._weights()
         predicted = torch.sigmoid(logits).numpy() > LEVEL
         truth = targets.numpy() > LEVEL
+        figures = (iou(predicted, truth), point_accuracy(predicted, truth))
+        if loss < self.best_loss:
+            self.best_epoch, self.best_loss, self.best_state = self.done, loss, self._weights()
+            self.best_figures = figures
         return EpochReport(
             self.done,
             self.settings.epochs,
             train_loss,
             loss,
-            iou(predicted, truth),
-            point_accuracy(predicted, truth),
+            *figures,
             self.best_epoch,
         )
 

@@ -1,0 +1,118 @@
+"""Train a model from a folder of episodes to a checkpoint with its card."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections import Counter
+from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError, version
+
+import torch
+
+from backend.config.method import StabilitySettings
+from backend.core.faults import InputError
+from backend.dataset.rows import TrainingRows, load_rows
+from backend.learning.checkpoint import Card, Sizes, save_checkpoint
+from backend.learning.job import Cancelled, Epoch, Finished, Loaded, TrainingJob
+from backend.learning.model import ARCH
+from backend.learning.resume import forget_state, load_state, resume_path, save_state
+from backend.learning.training import Trainer, fingerprint
+
+Tell = Callable[[Loaded | Epoch | Finished | Cancelled], None]
+
+
+def fit(job: TrainingJob, tell: Tell, cancelled: Callable[[], bool]) -> None:
+    """Do ``job``, telling every step; the state is kept after each epoch until the model is there.
+
+    Raises ``InputError`` for bad data, a bad output name or a state that does not fit.
+    """
+    if job.out.suffix != ".safetensors":
+        raise InputError(
+            "A model file ends in .safetensors.", str(job.out), "Choose another --out."
+        )
+    began_s = time.monotonic()
+    torch.set_num_threads(job.threads)
+    torch.use_deterministic_algorithms(True)
+    rows = load_rows(job.data, job.piece)
+    data = fingerprint(rows)
+    trainer = Trainer(rows, job.settings)
+    state = resume_path(job.out)
+    if job.resume:
+        load_state(state, trainer, data)
+    tell(_loaded(rows, trainer))
+
+    for report in trainer.epochs(cancelled):
+        save_state(state, trainer, data)
+        tell(Epoch(**dataclasses.asdict(report)))
+    if trainer.done < job.settings.epochs:
+        tell(Cancelled(done=trainer.done, state=state))
+        return
+    card = save_checkpoint(job.out, trainer.best_model(), _card(rows, trainer, data))
+    forget_state(state)
+    best = trainer.best_figures
+    tell(
+        Finished(
+            out=job.out,
+            weights_sha256=card.weights_sha256,
+            best_epoch=trainer.best_epoch,
+            iou=best[0],
+            point_accuracy=best[1],
+            seconds=time.monotonic() - began_s,
+        )
+    )
+
+
+def _loaded(rows: TrainingRows, trainer: Trainer) -> Loaded:
+    return Loaded(
+        piece=rows.piece,
+        episodes=len(rows),
+        held_out=len(trainer.split.held_out),
+        kept_together=trainer.split.kept_together,
+        points=rows.patch.shape[1],
+        parameters=sum(p.numel() for p in trainer.model.parameters()),
+        base_rate=trainer.base_rate,
+        done=trainer.done,
+    )
+
+
+def _card(rows: TrainingRows, trainer: Trainer, data: str) -> Card:
+    settings, best = trainer.settings, trainer.best_figures
+    sources = sorted({str(label.get("source")) for label in rows.labels})
+    return Card(
+        arch=ARCH,
+        hyper=Sizes(**trainer.model.shape.as_json()),
+        modality=settings.modality,
+        piece=rows.piece,
+        geometry=rows.geometry,
+        delta=StabilitySettings().delta,
+        base_rate=trainer.base_rate,
+        metrics={
+            "validation": {
+                "iou": round(best[0], 4),
+                "point_accuracy": round(best[1], 4),
+                "loss": round(trainer.best_loss, 5),
+                "epoch": trainer.best_epoch,
+            }
+        },
+        data={
+            "fingerprint_sha256": data,
+            "episodes": dict(sorted(Counter(rows.bottom).items())),
+            "held_out": len(trainer.split.held_out),
+            "kept_together": trainer.split.kept_together,
+            "grips": len(set(zip(rows.mounting_id, rows.grip_id, strict=True))),
+            "mountings": len(set(rows.mounting_id)),
+            "label_sources": sources,
+        },
+        training={**settings.model_dump(), "optimiser": "Adam", "torch": torch.__version__},
+        seed=settings.seed,
+        program_version=_version(),
+        weights_sha256="",
+    )
+
+
+def _version() -> str:
+    try:
+        return version("touchdown")
+    except PackageNotFoundError:
+        return "source tree"

@@ -1,0 +1,87 @@
+"""What a training is asked for, and what it says while it goes on (JSON lines)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+
+from backend.config.method import TrainingSettings
+
+
+class Message(BaseModel):
+    """Base of everything that crosses the border between the two processes."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class TrainingJob(Message):
+    """Train on the episodes of ``piece`` (None: the only one) in ``data``; write to ``out``."""
+
+    data: Path
+    piece: str | None
+    out: Path
+    settings: TrainingSettings
+    resume: bool = False
+    threads: Annotated[int, Field(ge=1, le=64)] = 2
+
+
+class Loaded(Message):
+    """The data are there. ``kept_together`` says what was never split: "grip" or "mounting"."""
+
+    kind: Literal["loaded"] = "loaded"
+    piece: str
+    episodes: int
+    held_out: int
+    kept_together: str
+    points: int
+    parameters: int
+    base_rate: float
+    done: int
+
+
+class Epoch(Message):
+    """One epoch ended; see ``EpochReport``."""
+
+    kind: Literal["epoch"] = "epoch"
+    epoch: int
+    epochs: int
+    train_loss: float
+    validation_loss: float
+    iou: float
+    point_accuracy: float
+    best_epoch: int
+
+
+class Finished(Message):
+    """The model is written."""
+
+    kind: Literal["finished"] = "finished"
+    out: Path
+    weights_sha256: str
+    best_epoch: int
+    iou: float
+    point_accuracy: float
+    seconds: float
+
+
+class Cancelled(Message):
+    """Stopped on request after ``done`` whole epochs; ``state`` resumes it."""
+
+    kind: Literal["cancelled"] = "cancelled"
+    done: int
+    state: Path
+
+
+class Refused(Message):
+    """Bad input, in the words of ``InputError``."""
+
+    kind: Literal["refused"] = "refused"
+    what: str
+    where: str
+    fix: str
+
+
+Report = Annotated[Loaded | Epoch | Finished | Cancelled | Refused, Field(discriminator="kind")]
+REPORT: TypeAdapter[Loaded | Epoch | Finished | Cancelled | Refused] = TypeAdapter(Report)

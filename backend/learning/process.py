@@ -1,0 +1,56 @@
+"""The child process of a training: ``python -m backend.learning.process``.
+
+Takes one JSON line with the job on standard input, writes JSON lines to standard output. Any
+further line, or the end of the input (the parent is gone), cancels it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+
+from pydantic import BaseModel, ValidationError
+
+from backend.core.faults import InputError
+from backend.learning.fitting import fit
+from backend.learning.job import Refused, TrainingJob
+
+NICENESS = 10
+"""A training must never slow down a bench that runs beside it."""
+
+
+def _tell(message: BaseModel) -> None:
+    sys.stdout.write(message.model_dump_json() + "\n")
+    sys.stdout.flush()
+
+
+def main() -> int:
+    """Run one job; 0 when finished or cancelled, 2 for bad input."""
+    cancelled = threading.Event()
+    try:
+        job = TrainingJob.model_validate_json(sys.stdin.readline())
+    except ValidationError as error:
+        _tell(Refused(what=f"Bad job: {error}", where="job", fix="Correct the job."))
+        return 2
+
+    def listen() -> None:
+        sys.stdin.readline()
+        cancelled.set()
+
+    threading.Thread(target=listen, name="listen", daemon=True).start()
+    if os.name == "posix":
+        os.nice(NICENESS)
+    try:
+        fit(job, _tell, cancelled.is_set)
+    except InputError as error:
+        _tell(Refused(what=error.what, where=error.where, fix=error.fix))
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    code = main()
+    sys.stdout.flush()
+    # The listener may still hold the lock of standard input, which a normal exit would wait for.
+    os._exit(code)

@@ -1,0 +1,84 @@
+"""``touchdown evaluate``: measure a contact-patch model on labelled episodes."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.table import Table
+
+from backend.config.method import StabilitySettings
+from backend.verbs.screen import Screen
+
+if TYPE_CHECKING:
+    from backend.learning.metrics import Scores
+
+NAME = "evaluate"
+HELP = "measure a contact-patch model"
+JSON_VERSION = 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("model", type=Path, help="model file (.safetensors)")
+    parser.add_argument("data", type=Path, help="folder that 'touchdown simulate --out' wrote")
+    parser.add_argument(
+        "--delta",
+        type=float,
+        default=StabilitySettings().delta,
+        help="a point supports above this probability (default: 0.9)",
+    )
+
+
+def run(args: argparse.Namespace, screen: Screen) -> int:
+    """Evaluate and show the scores per bottom; returns 0."""
+    # Imported here so that `touchdown --help` starts without torch.
+    from backend.dataset.rows import load_rows
+    from backend.learning.checkpoint import load_checkpoint
+    from backend.learning.evaluation import evaluate
+    from backend.objects.catalogue import load_catalogue
+    from backend.objects.surface import face_points
+
+    checkpoint = load_checkpoint(args.model)
+    card = checkpoint.card
+    rows = load_rows(args.data, card.piece)
+    points = face_points(load_catalogue().piece(card.piece).face)
+    scores = evaluate(checkpoint, rows, points, args.delta)
+    trained_on = set(card.data.get("episodes", {}))
+    screen.show(score_table(f"{card.piece}, {card.modality} (simulated)", scores, trained_on))
+    screen.result(
+        {
+            "version": JSON_VERSION,
+            "model": str(args.model),
+            "piece": card.piece,
+            "modality": card.modality,
+            "delta": args.delta,
+            "simulated": card.simulated,
+            "trained_on": sorted(trained_on),
+            "scores": {name: s.as_json() for name, s in scores.items()},
+        }
+    )
+    return 0
+
+
+def score_table(title: str, scores: dict[str, Scores], trained_on: set[str]) -> Table:
+    """Return the table of scores; bottoms never seen in training are marked."""
+    table = Table(title=title, caption="n = 1; 95 % Wilson interval of the stability accuracy")
+    for column in ("bottom", "episodes", "IoU %", "points right %", "stability right %",
+                   "base rate %", "unsafe %"):  # fmt: skip
+        table.add_column(column, justify="left" if column == "bottom" else "right")
+    for name, s in scores.items():
+        unseen = "" if name == "all" or name in trained_on else " (unseen)"
+        low, high = s.stability_interval
+        table.add_row(
+            name + unseen,
+            str(s.episodes),
+            f"{100 * s.iou:.1f}",
+            f"{100 * s.point_accuracy:.1f}",
+            f"{100 * s.stability_accuracy:.1f} ({100 * low:.1f}-{100 * high:.1f})",
+            f"{100 * s.base_rate:.1f}",
+            "-" if math.isnan(s.unsafe) else f"{100 * s.unsafe:.1f}",
+        )
+    return table

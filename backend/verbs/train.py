@@ -1,0 +1,91 @@
+"""``touchdown train``: train a contact-patch model in a process of its own."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from backend.config.load import parse
+from backend.config.method import TrainingSettings
+from backend.verbs.screen import Screen
+
+NAME = "train"
+HELP = "train a contact-patch model"
+JSON_VERSION = 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    defaults = TrainingSettings()
+    parser.add_argument("data", type=Path, help="folder that 'touchdown simulate --out' wrote")
+    parser.add_argument("--piece", help="grasped piece (default: the only one in the data)")
+    parser.add_argument("--modality", default=defaults.modality, help="FT, Tac or FT+Tac")
+    parser.add_argument("--epochs", type=int, default=defaults.epochs)
+    parser.add_argument("--batch", type=int, default=defaults.batch)
+    parser.add_argument("--learning-rate", type=float, default=defaults.learning_rate)
+    parser.add_argument("--seed", type=int, default=defaults.seed)
+    parser.add_argument("--threads", type=int, default=2, help="processor threads (default: 2)")
+    parser.add_argument(
+        "--out", type=Path, help="model file (default: <piece>.safetensors in the present folder)"
+    )
+    parser.add_argument(
+        "--resume", action="store_true", help="go on with an interrupted training of the same model"
+    )
+
+
+def run(args: argparse.Namespace, screen: Screen) -> int:
+    """Train; 0 when the model is written. Ctrl-C keeps the finished epochs for ``--resume``."""
+    # Imported here so that `touchdown --help` starts without torch.
+    from backend.learning.child import TrainingProcess
+    from backend.learning.job import Cancelled, Epoch, Finished, Loaded, TrainingJob
+
+    settings = {
+        "modality": args.modality,
+        "epochs": args.epochs,
+        "batch": args.batch,
+        "learning_rate": args.learning_rate,
+        "seed": args.seed,
+    }
+    job = {
+        "data": args.data.resolve(),
+        "piece": args.piece,
+        "out": (args.out or Path(f"{args.piece or 'model'}.safetensors")).resolve(),
+        "settings": parse(TrainingSettings, settings, "arguments"),
+        "resume": args.resume,
+        "threads": args.threads,
+    }
+    curve: list[dict[str, object]] = []
+    answer: dict[str, object] = {"version": JSON_VERSION}
+    with (
+        TrainingProcess(parse(TrainingJob, job, "arguments")) as training,
+        screen.progress(f"Training {args.piece or 'model'}", args.epochs) as advance,
+    ):
+        for report in training.reports():
+            match report:
+                case Loaded():
+                    screen.say(
+                        f"{report.episodes} episodes of {report.piece}, {report.held_out} held out "
+                        f"for validation (whole {report.kept_together}s), {report.points} points, "
+                        f"{report.parameters:,} parameters, base rate {report.base_rate:.3f}"
+                    )
+                    answer |= report.model_dump(mode="json", exclude={"kind", "done"})
+                case Epoch():
+                    words = (
+                        f"loss {report.train_loss:.4f} / {report.validation_loss:.4f}  "
+                        f"IoU {100 * report.iou:.1f} %"
+                    )
+                    advance(report.epoch, words)
+                    screen.say(f"epoch {report.epoch:3d}/{report.epochs}  {words}")
+                    curve.append(report.model_dump(mode="json", exclude={"kind", "epochs"}))
+                case Finished():
+                    screen.say(
+                        f"{report.out}: epoch {report.best_epoch}, validation IoU "
+                        f"{100 * report.iou:.1f} %, point accuracy "
+                        f"{100 * report.point_accuracy:.1f} %, {report.seconds:.0f} s"
+                    )
+                    answer |= report.model_dump(mode="json", exclude={"kind"})
+                case Cancelled():
+                    screen.say(f"Cancelled after epoch {report.done}; go on with --resume.")
+                    answer |= {"cancelled": True, "done": report.done}
+    screen.result({**answer, "curve": curve})
+    return 1 if "cancelled" in answer else 0

@@ -20,7 +20,7 @@ class HiddenMarkers:
     """
 
     def __init__(self, rest_px: FloatArray) -> None:
-        self._rest = np.array(rest_px)
+        self._rest: FloatArray = np.array(rest_px)
         self._known = np.zeros((MARKERS, 2))
         self._seen = np.ones(MARKERS, dtype=bool)
         self._deviation = np.zeros((MARKERS, 2))
@@ -28,7 +28,8 @@ class HiddenMarkers:
 
     def carry(self, step: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
         """Return ``step`` (63, 2) with the unseen filled smoothly."""
-        return fill_field(step[None], seen[None])[0]
+        filled: FloatArray = fill_field(step[None], seen[None])[0]
+        return filled
 
     def fill(self, position_px: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
         """Return the places (63, 2): seen ones as given, hidden ones inferred."""
@@ -42,7 +43,7 @@ class HiddenMarkers:
             scale = np.minimum(1.0, size / np.maximum(self._size[hidden], 1e-3))
             smooth[hidden] += scale[:, None] * self._deviation[hidden]
         self._known, self._seen = smooth, seen.copy()
-        return np.asarray(self._rest + smooth)
+        return np.asarray(self._rest + smooth, dtype=np.float64)
 
     def forget(self, markers: NDArray[np.bool_]) -> None:
         """Drop what is remembered of ``markers`` (63,): they are filled smoothly."""

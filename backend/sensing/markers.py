@@ -26,6 +26,7 @@ from backend.sensing.assignment import assign_rest, nearest_dots, out_of_order
 from backend.sensing.detector import HEIGHT_PX, WIDTH_PX, Blobs, FlatImage
 from backend.sensing.grid import NO_GRID, GridReport, order_grid
 from backend.sensing.hidden import HiddenMarkers
+from backend.sensing.looks import UsualLooks
 from backend.sensing.reference import Reference
 from backend.sensing.slip import fit_rigid
 
@@ -35,9 +36,6 @@ STRAY_PX = 5.0
 """A step that differs this much from its neighbours' steps is not believed."""
 SMOOTH_PX = 0.5
 """Frame-to-frame misfit (rms) up to which a field counts as smooth."""
-FAINTEST = 0.5
-"""Share of its usual darkness that a marker must show to count as seen."""
-_DARKNESS_MEMORY = 0.05
 _LARGEST_SHIFT_PX = 4.0
 _FEWEST_SEEN = 32
 _REORDER_EVERY = 5
@@ -57,7 +55,7 @@ class MarkerTracker:
         self._reference: Reference | None = None
         self._locked = False
         self._position = _straight_grid()
-        self._usual_mass = np.zeros(MARKERS)
+        self._looks = UsualLooks()
         self._last_seen_s = np.full(MARKERS, -np.inf)
         self._was_seen = np.zeros(MARKERS, dtype=bool)
         self._hidden = HiddenMarkers(self._position)
@@ -86,7 +84,7 @@ class MarkerTracker:
         owner = self._own(blobs)
         if owner is None:
             return self._blind(frame)
-        seen, position = self._centre(flat, blobs, owner)
+        seen, position = self._centre(flat, blobs, owner, frame.t_s)
         rough_px = self._reject_strays(position, seen)
         self._settle(position, seen, frame.t_s)
         share = float(seen.mean())
@@ -157,22 +155,21 @@ class MarkerTracker:
         if self._reference is None:
             self._hidden = HiddenMarkers(self._position)
         self._was_seen = np.zeros(MARKERS, dtype=bool)
-        self._usual_mass = np.zeros(MARKERS)
+        self._looks = UsualLooks()
 
     def _centre(
-        self, flat: FlatImage, blobs: Blobs, owner: NDArray[np.intp]
+        self, flat: FlatImage, blobs: Blobs, owner: NDArray[np.intp], t_s: float
     ) -> tuple[NDArray[np.bool_], FloatArray]:
         """Return which markers are seen, and the places (63, 2) of those."""
         seen = owner >= 0
         position = self._position.copy()
         start = blobs.centre_px[owner[seen]]
         centres = flat.refine(start)
-        usual = self._usual_mass[seen]
-        good = centres.mass >= FAINTEST * usual
+        looks = np.column_stack([centres.mass, blobs.area_px[owner[seen]]])
+        stale = t_s - self._last_seen_s[seen] > LOST_AFTER_S
+        good = self._looks.recognise(np.flatnonzero(seen), looks, stale)
         good &= np.abs(centres.position_px - start).max(axis=1, initial=0.0) < _LARGEST_SHIFT_PX
         position[seen] = np.where(good[:, None], centres.position_px, position[seen])
-        blend = np.where(usual > 0, _DARKNESS_MEMORY, 1.0)
-        self._usual_mass[seen] = np.where(good, usual + blend * (centres.mass - usual), usual)
         seen[seen] = good
         return seen, position
 

@@ -173,6 +173,7 @@ def score(shots_of_case: Iterator[Shot], follow: Follow) -> Score:
     errors, seen, covered, spent = [], [], [], []
     lost = late = 0
     offset = np.zeros((63, 2))
+    was_covered = np.zeros(63, dtype=bool)
     for shot in shots_of_case:
         start = time.perf_counter()
         position, state = follow(shot.image)
@@ -186,7 +187,8 @@ def score(shots_of_case: Iterator[Shot], follow: Follow) -> Score:
         seen.append(state == 0)
         covered.append(shot.covered)
         lost += int((state == 2).sum())
-        late += int((shot.covered & (state == 0)).sum())
+        late += int((shot.covered & was_covered & (state == 0)).sum())
+        was_covered = shot.covered
     e, s, c = np.array(errors), np.array(seen), np.array(covered)
     return Score(
         rms=float(np.sqrt((e[e < 10] ** 2).mean())),

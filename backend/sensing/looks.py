@@ -1,0 +1,42 @@
+"""How dark and how large each marker usually looks, to tell it from whatever covers it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.core.flow import MARKERS, FloatArray
+
+OWN_RANGE = (0.7, 1.45)
+"""Ratio to the marker's own usual look; real gels in grasp stay within 0.73 .. 1.25."""
+COMMON_RANGE = (0.5, 1.9)
+"""Ratio to the look of the other markers, where a marker has no own yet or was long hidden."""
+MEMORY = 0.05
+
+
+class UsualLooks:
+    """Running mean of darkness and area of every marker."""
+
+    def __init__(self) -> None:
+        self._usual = np.zeros((MARKERS, 2))
+
+    def recognise(
+        self, markers: NDArray[np.intp], looks: FloatArray, stale: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """Return (n,) whether ``markers`` look like themselves, and learn from those that do.
+
+        ``looks``: (n, 2) darkness and area of the dot given to each; ``stale``: (n,) not seen for
+        so long that the own look may have changed.
+        """
+        if not len(markers):
+            return np.zeros(0, dtype=bool)
+        own = self._usual[markers]
+        fresh = (own[:, 0] > 0) & ~stale
+        typical = np.median(own[fresh] if fresh.any() else looks, axis=0)
+        ratio = looks / np.where(fresh[:, None], own, np.maximum(typical, 1e-6))
+        lowest = np.where(fresh, OWN_RANGE[0], COMMON_RANGE[0])[:, None]
+        highest = np.where(fresh, OWN_RANGE[1], COMMON_RANGE[1])[:, None]
+        good = ((ratio >= lowest) & (ratio <= highest)).all(axis=1)
+        blend = np.where(fresh, MEMORY, 1.0)[:, None]
+        self._usual[markers[good]] = (own + blend * (looks - own))[good]
+        return np.asarray(good)

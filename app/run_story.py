@@ -21,6 +21,7 @@ from backend.core.facts import (
     TrialStarted,
 )
 from backend.core.flow import BeliefMap, Fall, FloatArray, Outcome, PlaceAction, Stability
+from backend.objects.clipping import overlap, ring
 from widgets.belief_scene import BeliefScene
 
 Offset = tuple[float, float]
@@ -167,13 +168,14 @@ def scene_of(
 ) -> BeliefScene:
     """Return the belief scene after probe ``index`` (from 0).
 
-    ``face``, ``bottom``: (k, 2) outlines; the true bottom is shown only after the trial.
+    ``face``, ``bottom``: (k, 2) outlines; the true overlap is shown only after the trial.
     """
     look = trial.probes[index]
     truth = None
     shift = trial.frame_shift_mm()
-    if trial.finished is not None and shift is not None and bottom is not None:
-        truth = bottom + shift
+    if trial.finished is not None and shift is not None and bottom is not None and face is not None:
+        here = look.offset_mm or (0.0, 0.0)
+        truth = ring(overlap(face + here, bottom + shift))
     action = look.action
     return BeliefScene(
         belief=look.belief,

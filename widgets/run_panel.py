@@ -175,9 +175,10 @@ class RunPanel(Panel):
         for field in (self._piece, self._bottom, self._under, self._seed, self._trials,
                       self._strategy, self._mode):  # fmt: skip
             field.setEnabled(not buttons.cancel)
-        self._draw_icons()
+        self.draw_icons()
 
-    def _draw_icons(self) -> None:
+    def draw_icons(self) -> None:
+        """Draw the icons in the colours of the theme."""
         t = self._theme.tokens
         ink = t.colour("panel") if self.start.isEnabled() else t.colour("border")
         self.start.setIcon(icon("play", ink))

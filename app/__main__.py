@@ -1,0 +1,63 @@
+"""Command line of the window: ``python -m app`` or ``touchdown app``."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the arguments of the window (read before Qt is imported)."""
+    made = argparse.ArgumentParser(prog="touchdown app", description="Open the window.")
+    made.add_argument("--theme", choices=("dark", "light", "contrast"), help="start in this theme")
+    made.add_argument("--replay", metavar="RUN", type=Path, help="review this recorded run")
+    made.add_argument("--reset-layout", action="store_true", help="forget the window settings")
+    made.add_argument("--size", metavar="WxH", type=_size, help="size of the window, in pixels")
+    made.add_argument("--grab", metavar="FILE.png", type=Path,
+                      help="start a run, save a picture of the window and end")  # fmt: skip
+    made.add_argument("--after", metavar="S", type=float, default=20.0,
+                      help="with --grab or --measure: seconds to wait (20)")  # fmt: skip
+    made.add_argument("--measure", action="store_true",
+                      help="start a run, measure the window and print one JSON object")  # fmt: skip
+    return made
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Open the window; returns the exit status (3: this Qt cannot work here)."""
+    args = parser().parse_args(argv)
+    if (args.grab or args.measure) and not _display():
+        os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+    import PySide6
+
+    from app.guard import bad_pair
+
+    wrong = bad_pair(sys.version_info[:2], PySide6.__version__)
+    if wrong is None and not _display() and "QT_QPA_PLATFORM" not in os.environ:
+        wrong = "There is no display. Without one use 'make demo' or 'touchdown stack'."
+    if wrong is not None:
+        sys.stderr.write(f"touchdown: {wrong}\n")
+        return 3
+    from app.start import run
+
+    return run(args)
+
+
+def _display() -> bool:
+    if sys.platform in ("win32", "darwin"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _size(text: str) -> tuple[int, int]:
+    try:
+        width, height = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise argparse.ArgumentTypeError("write it as 1600x940") from None
+    return width, height
+
+
+if __name__ == "__main__":
+    sys.exit(main())

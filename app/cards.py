@@ -1,0 +1,17 @@
+"""Faults of the bench as cards."""
+
+from __future__ import annotations
+
+from backend.core.faults import Fault
+from widgets.fault_cards import CardText
+
+
+def card_of(fault: Fault, at: str) -> CardText:
+    """Return the card of a fault; ``at`` is the wall-clock time of day."""
+    device = f"\nDevice: {fault.device}" if fault.device else ""
+    details = (
+        f"{fault.what}\n{fault.consequence}\n{fault.next_step}\nCode: {fault.code}{device}\n{at}"
+    )
+    return CardText(
+        fault.code, fault.what, fault.consequence, fault.next_step, details, reset=True, at=at
+    )

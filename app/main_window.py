@@ -1,0 +1,143 @@
+"""The frame: top bar, cards, rail, workspaces, foot. No logic."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from PySide6.QtCore import QSize, Qt
+from PySide6.QtGui import QCloseEvent
+from PySide6.QtWidgets import (
+    QFrame,
+    QHBoxLayout,
+    QMainWindow,
+    QSizePolicy,
+    QStackedWidget,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from widgets.fault_cards import FaultCards
+from widgets.icons import icon
+from widgets.panel import label
+from widgets.stripes import SimulatedBanner
+from widgets.theme import Theme
+from widgets.top_bar import TopBar
+
+MINIMUM = QSize(1280, 720)
+USUAL = QSize(1600, 940)
+RAIL = (("stack", "Stack"), ("review", "Review"), ("theme", "Theme"), ("keys", "Keys"))
+
+
+class MainWindow(QMainWindow):
+    """Holds the views; ``may_close`` decides whether a close request is granted."""
+
+    def __init__(
+        self, theme: Theme, bar: TopBar, cards: FaultCards, pages: dict[str, QWidget]
+    ) -> None:
+        super().__init__()
+        self._theme = theme
+        self.may_close: Callable[[], bool] = bool
+        self.pages = pages
+        self._stack = QStackedWidget()
+        for page in pages.values():
+            self._stack.addWidget(page)
+        self.rail = {name: _rail_button(text) for name, text in RAIL}
+        self._message, self._right = label("", "muted"), label("", "small")
+        self._banner = SimulatedBanner(theme)
+        self._arrange(bar, cards)
+        self.setMinimumSize(MINIMUM)
+        self.resize(USUAL)
+        self.draw_icons()
+        self.show_page("stack")
+
+    def _arrange(self, bar: TopBar, cards: FaultCards) -> None:
+        right = QVBoxLayout()
+        right.setSpacing(0)
+        right.addWidget(cards)
+        right.addWidget(self._stack, 1)
+        middle = QHBoxLayout()
+        middle.setSpacing(0)
+        middle.addWidget(self._rail())
+        middle.addLayout(right, 1)
+        frame = QWidget()
+        frame.setObjectName("frame")
+        column = QVBoxLayout(frame)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(0)
+        column.addWidget(bar)
+        column.addLayout(middle, 1)
+        column.addWidget(self._foot())
+        self.setCentralWidget(frame)
+
+    def _rail(self) -> QFrame:
+        rail = QFrame()
+        rail.setProperty("role", "rail")
+        column = QVBoxLayout(rail)
+        column.setContentsMargins(5, 8, 5, 8)
+        column.setSpacing(4)
+        for name in ("stack", "review"):
+            self.rail[name].setCheckable(True)
+            column.addWidget(self.rail[name])
+        column.addStretch(1)
+        for name in ("theme", "keys"):
+            column.addWidget(self.rail[name])
+        return rail
+
+    def _foot(self) -> QFrame:
+        foot = QFrame()
+        foot.setProperty("role", "foot")
+        row = QHBoxLayout(foot)
+        row.setContentsMargins(12, 4, 12, 4)
+        row.setSpacing(16)
+        self._message.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        row.addWidget(self._message, 1)
+        row.addWidget(self._banner)
+        row.addWidget(self._right)
+        return foot
+
+    def show_page(self, name: str) -> None:
+        """Bring a workspace to the front."""
+        self._stack.setCurrentWidget(self.pages[name])
+        for key in ("stack", "review"):
+            self.rail[key].setChecked(key == name)
+
+    def show_message(self, text: str) -> None:
+        """Show the last event in the foot."""
+        if text != self._message.text():
+            self._message.setText(text)
+            self._message.setToolTip(text)
+
+    def show_right(self, text: str) -> None:
+        """Show figures at the right of the foot."""
+        self._right.setText(text)
+
+    def show_simulated(self, simulated: bool) -> None:
+        """Show the banner and say so in the title."""
+        self._banner.setVisible(simulated)
+        self.setWindowTitle("Touchdown (SIMULATED)" if simulated else "Touchdown")
+
+    def draw_icons(self) -> None:
+        """Draw the rail's icons in the colours of the theme."""
+        for name, button in self.rail.items():
+            button.setIcon(icon(name, self._theme.tokens.colour("text"), 22))
+
+    def closeEvent(self, event: QCloseEvent) -> None:
+        """Close if granted."""
+        if self.may_close():
+            event.accept()
+        else:
+            event.ignore()
+
+
+def _rail_button(text: str) -> QToolButton:
+    button = QToolButton()
+    button.setText(text)
+    button.setProperty("role", "rail")
+    button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextUnderIcon)
+    button.setIconSize(QSize(22, 22))
+    button.setAccessibleName(text)
+    button.setToolTip(text)
+    button.setMinimumWidth(58)
+    button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+    return button

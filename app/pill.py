@@ -1,0 +1,39 @@
+"""The pill's word for the state that the backend reports; the window infers nothing."""
+
+from __future__ import annotations
+
+from app.link import Link
+from backend.runs.requests import RunState, RunStatus
+from widgets.state_pill import Colour, PillState, Shape
+
+_WORDS: dict[RunState, tuple[str, Shape, Colour]] = {
+    RunState.IDLE: ("READY", "disc", "green"),
+    RunState.PREPARING: ("PREPARING", "play", "green"),
+    RunState.RUNNING: ("RUNNING", "play", "green"),
+    RunState.PAUSING: ("PAUSING", "bars", "yellow"),
+    RunState.PAUSED: ("PAUSED", "bars", "yellow"),
+    RunState.CANCELLING: ("CANCELLING", "diamond", "yellow"),
+    RunState.FINISHING: ("FINISHING", "diamond", "yellow"),
+}
+
+
+def pill_of(link: Link) -> PillState:
+    """Return what the pill shows for this bench now."""
+    note = "simulated" if link.simulated else ""
+    if not link.devices:
+        return PillState("NO DEVICES", "ring", "grey", note)
+    if link.interlock.latched:
+        if link.interlock.faults:
+            return PillState("FAULT", "square", "red", "press Reset")
+        return PillState("STOPPED", "square", "blue", "press Reset")
+    status = link.status()
+    if status.awaiting is not None:
+        return PillState("YOUR TURN", "triangle", "blue", "approve or decline")
+    word, shape, colour = _WORDS[status.state]
+    return PillState(word, shape, colour, _with(note, status))
+
+
+def _with(note: str, status: RunStatus) -> str:
+    if status.state is RunState.RUNNING and status.phase:
+        return f"{note}, {status.phase}".lstrip(", ")
+    return note

@@ -1,0 +1,96 @@
+"""Starts Qt, the window and the bench; one-shot modes for pictures and measurements."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+
+from PySide6.QtCore import QTimer
+from PySide6.QtWidgets import QApplication
+
+from app.application import TouchdownApp
+from app.error_hooks import ErrorBox, install, log_to
+from app.link import Link
+from app.measure import Measurement
+from app.settings import settings_path
+from backend.runs.store import data_folder
+
+SWITCH_S = 0.002
+"""Threads of the bench hand over this often, so that the window is never starved."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the window until it is closed."""
+    sys.setswitchinterval(SWITCH_S)
+    application = QApplication(sys.argv[:1])
+    application.setApplicationName("Touchdown")
+    application.setDesktopFileName("touchdown")
+    box = ErrorBox()
+    restore = install(box)
+    log_to(data_folder() / "log")
+    path = settings_path()
+    if args.reset_layout:
+        path.unlink(missing_ok=True)
+    main = TouchdownApp(application, box, path, data_folder() / "runs")
+    try:
+        _show(main, args)
+        if args.measure:
+            Measurement(main, args.after, _print)
+        elif args.grab is not None:
+            _Grab(main, args)
+        return application.exec()
+    finally:
+        main.close()
+        restore()
+
+
+def _show(main: TouchdownApp, args: argparse.Namespace) -> None:
+    if args.theme is not None:
+        main.set_theme(args.theme)
+    main.start()
+    if args.size is not None:
+        main.window.resize(*args.size)
+    if args.replay is not None:
+        main.show_review()
+        main.review.open(args.replay)
+    main.connect_bench(live_bench)
+
+
+def live_bench() -> Link:
+    """Build the simulated bench with a first scene to look at (on the connecting thread)."""
+    from backend.assembly import simulated_session
+
+    from backend.runs.requests import StackRequest
+
+    session = simulated_session()
+    session.prepare(StackRequest())
+    return session
+
+
+class _Grab:
+    """Starts a run once the bench is there and saves a picture after a while."""
+
+    def __init__(self, main: TouchdownApp, args: argparse.Namespace) -> None:
+        self._main, self._file = main, args.grab
+        self._timer = QTimer(main)
+        self._timer.timeout.connect(self._started)
+        self._timer.start(100)
+        self._wait_ms = int(1000 * args.after)
+        self._replay = args.replay is not None
+
+    def _started(self) -> None:
+        if self._main.stack is None and not self._replay:
+            return
+        self._timer.stop()
+        if self._main.stack is not None and not self._replay:
+            self._main.stack.start()
+        QTimer.singleShot(self._wait_ms, self._main, self._save)
+
+    def _save(self) -> None:
+        self._main.window.grab().save(str(self._file))
+        self._main.quit_at_once()
+
+
+def _print(figures: dict[str, float]) -> None:
+    sys.stdout.write(json.dumps(figures) + "\n")

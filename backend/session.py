@@ -241,12 +241,13 @@ class Session:
     def _set_stage(self, request: StackRequest, seed: int) -> tuple[Stage, LiveSensing]:
         """Build the scene, clear the streams, connect the devices, and let the sensors start."""
         self.interlock.forget_stoppers()
-        for stream in (*self.frames.values(), *self.fields.values()):
-            stream.clear()
+        for finger in FINGERS:
+            self.frames[finger].clear()
+            self.fields[finger].clear()
         for samples in (self._raw.samples, self._raw.poses, self.wrench):
             samples.clear()
         stage = self._make_stage(request, seed, self._raw)
-        sensing = LiveSensing(self._raw, self.fields, self.wrench)
+        sensing = LiveSensing(self._raw, self.fields, self.wrench, stage.payload)
         cancel = threading.Event()
         for device in stage.devices.values():
             device.connect(5.0, cancel)

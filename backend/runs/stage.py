@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from backend.core.clock import Clock
+from backend.core.flow import FloatArray
 from backend.devices.protocols import Arm, Device, Gripper
 from backend.objects.catalogue import Piece
 from backend.runs.bench import Estimate, Scoring
@@ -16,7 +17,7 @@ class Stage:
     """Unguarded devices of one scene. ``advance`` moves the bench's time by so many microseconds.
 
     ``devices`` names all five for the chips; ``scoring`` is None where the truth is unknown;
-    ``describe`` is a JSON-ready record of everything the scene depends on.
+    ``payload`` (6,) is the calibrated weight below the sensor, N and N·m. ``describe`` is a JSON-ready record of everything the scene depends on.
     """
 
     clock: Clock
@@ -28,4 +29,5 @@ class Stage:
     advance: Callable[[int], None]
     scoring: Scoring | None
     estimator: Estimate
+    payload: FloatArray
     describe: Mapping[str, object]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 from backend.core.facts import FaultRaised, RunFinished, RunStarted, Said, TrialStarted
 from backend.core.faults import FaultError, RefusedError
@@ -17,6 +18,7 @@ from backend.runs.plan import CancelledError, Plan, StoppedError
 from backend.runs.requests import StackRequest
 from backend.runs.stack import stack
 
+RunEnding = Literal["finished", "cancelled", "stopped", "failed"]
 Prepare = Callable[[int], Bench]
 """Set the scene of trial k (0, 1, ...) and return its bench; its clock starts at zero."""
 
@@ -56,7 +58,7 @@ def stack_run(prepare: Prepare, request: StackRequest, head: RunHead) -> Plan[No
     yield RunFinished(bench.now_s(), head.run_id, "finished", "All trials are done.")
 
 
-def _one_trial(bench: Bench, request: StackRequest) -> Plan[tuple[Ending, str | None]]:
+def _one_trial(bench: Bench, request: StackRequest) -> Plan[tuple[Ending, RunEnding | None]]:
     """Return how the trial ended and, if the whole run ends with it, how the run ended."""
     plan = pick_and_place if request.strategy == "pick-and-place" else stack
     probes = bench.probe_count

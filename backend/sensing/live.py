@@ -11,7 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backend.core.flow import FINGERS, Finger, FloatArray, MarkerField, Recording, TactileFrame
+from backend.core.flow import (
+    FINGERS,
+    WRENCH_CHANNELS,
+    Finger,
+    FloatArray,
+    MarkerField,
+    Recording,
+    TactileFrame,
+)
 from backend.core.stream import SampleStream, Stream
 from backend.sensing.markers import MarkerTracker
 from backend.sensing.reference import Reference, take_reference
@@ -28,19 +36,24 @@ class RawStreams:
 
 
 class LiveSensing:
-    """Follows the raw streams and fills ``fields`` (markers) and ``wrench`` (tared, N and N·m)."""
+    """Follows the raw streams and fills ``fields`` (markers) and ``wrench`` (tared, N and N·m).
+
+    ``payload`` (6,) is the calibrated weight below the sensor: subtracted before the first tare.
+    """
 
     def __init__(
         self,
         raw: RawStreams,
         fields: Mapping[Finger, Stream[MarkerField]],
         wrench: SampleStream,
+        payload: FloatArray,
     ) -> None:
         self.raw, self.fields, self.wrench = raw, fields, wrench
         self._trackers = {finger: MarkerTracker(finger) for finger in FINGERS}
         self._frame_cursor = {finger: raw.frames[finger].count for finger in FINGERS}
         self._sample_cursor = raw.samples.count
-        self._tare = Tare.zero()
+        self._payload = payload
+        self._tare = Tare(payload, np.zeros(WRENCH_CHANNELS))
         self.tare_s = float("-inf")
         """Bench time of the last tare: a verdict reached before it belongs to a former probe."""
 
@@ -64,7 +77,7 @@ class LiveSensing:
     def zero_wrench(self, now_s: float, rest_s: float = 0.2) -> Tare:
         """Take the tare from the last ``rest_s`` of raw samples in air."""
         window = self.raw.samples.window(now_s - rest_s, now_s)
-        self._tare = take_tare(window.t_s, window.values)
+        self._tare = take_tare(window.t_s, window.values, self._payload)
         self.tare_s = now_s
         return self._tare
 

@@ -1,0 +1,43 @@
+"""The hand-wound clock is exact: integers inside, no rounding that depends on the way."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from backend.core.clock import HandClock, MonotonicClock
+
+
+@given(st.lists(st.integers(0, 10_000_000)))
+def test_many_small_steps_are_one_large_step(steps):
+    by_steps, at_once = HandClock(), HandClock()
+    for step in steps:
+        by_steps.wind(step)
+    at_once.wind(sum(steps))
+    assert by_steps.now_us == at_once.now_us
+    assert by_steps.now_s() == at_once.now_s()
+
+
+def test_a_cycle_of_10_ms_wound_for_an_hour_is_an_hour():
+    clock = HandClock()
+    for _ in range(360_000):
+        clock.wind(10_000)
+    assert clock.now_s() == 3600.0
+
+
+def test_it_is_never_wound_back():
+    clock = HandClock()
+    clock.wind(5)
+    with pytest.raises(ValueError, match="never wound back"):
+        clock.wind(-1)
+    assert clock.now_us == 5
+
+
+def test_it_stands_still_between():
+    clock = HandClock()
+    assert clock.now_s() == clock.now_s() == 0.0
+
+
+def test_the_computer_s_clock_never_goes_back():
+    clock = MonotonicClock()
+    readings = [clock.now_s() for _ in range(1000)]
+    assert readings == sorted(readings)

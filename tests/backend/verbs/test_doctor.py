@@ -1,0 +1,193 @@
+"""Doctor: each finding with its fix, one JSON object, exit code 1 only for what stops work."""
+
+import io
+import json
+import re
+
+import pytest
+
+from backend.__main__ import main
+from backend.verbs import check_machine, check_packages, doctor
+from backend.verbs.check import Check
+from backend.verbs.qt_libraries import PACKAGES, missing_in, packages_for
+from backend.verbs.screen import Screen
+
+
+def _run(monkeypatch, *checks, as_json=True):
+    monkeypatch.setattr(doctor, "EXAMINATIONS", tuple(lambda c=c: c for c in checks))
+    for look in doctor.EXAMINATIONS:
+        look.__name__ = "check_something"
+    stream = io.StringIO()
+    code = doctor.run(None, Screen(json=as_json, stream=stream))
+    return code, stream.getvalue()
+
+
+GOOD, NOTE = Check("a", True, "fine"), Check("b", True, "none", "plug it in")
+BAD = Check("c", False, "broken [x]", "mend it")
+
+
+def test_absent_options_do_not_fail(monkeypatch):
+    code, shown = _run(monkeypatch, GOOD, NOTE)
+    assert code == 0
+    assert json.loads(shown)["checks"][1] == {
+        "name": "b",
+        "ok": True,
+        "detail": "none",
+        "fix": "plug it in",
+    }
+
+
+def test_what_stops_work_fails(monkeypatch):
+    code, shown = _run(monkeypatch, GOOD, BAD)
+    assert code == 1
+    assert [check["ok"] for check in json.loads(shown)["checks"]] == [True, False]
+
+
+def test_people_see_words_and_fixes(monkeypatch):
+    code, shown = _run(monkeypatch, GOOD, NOTE, BAD, as_json=False)
+    assert code == 1
+    for word in ("OK", "NOTE", "FAIL", "broken [x]", "mend it", "1 to fix"):
+        assert word in shown
+
+
+def test_a_damaged_installation_does_not_end_the_doctor(monkeypatch):
+    def check_data_folder():
+        raise ImportError("no numpy")
+
+    monkeypatch.setattr(doctor, "EXAMINATIONS", (check_data_folder, lambda: GOOD))
+    stream = io.StringIO()
+    assert doctor.run(None, Screen(json=True, stream=stream)) == 1
+    first, second = json.loads(stream.getvalue())["checks"]
+    assert (first["name"], first["ok"], first["fix"]) == ("data folder", False, "make setup")
+    assert second["ok"]
+
+
+@pytest.mark.slow
+def test_on_this_computer(capsys):
+    code = main(["doctor", "--json"])
+    checks = json.loads(capsys.readouterr().out)["checks"]
+    names = [check["name"] for check in checks]
+    assert len(set(names)) == len(names) == len(doctor.EXAMINATIONS)
+    assert all(check["fix"] for check in checks if not check["ok"])
+    found = {check["name"]: check for check in checks}
+    assert re.match(r"CPython 3\.1\d", found["python"]["detail"])
+    for needed in ("python", "qt", "qt platform", "opencv", "torch", "packages", "data folder"):
+        assert found[needed]["ok"], found[needed]
+    assert code == (0 if all(check["ok"] for check in checks) else 1)
+
+
+@pytest.mark.parametrize(
+    ("qt", "python", "fit"),
+    [
+        ("6.12.0", (3, 11), False),
+        ("6.12.0", (3, 12), False),
+        ("6.9.1", (3, 13), False),
+        ("6.9.2", (3, 11), True),
+        ("6.8.0", (3, 11), True),
+        ("6.11.3", (3, 11), True),
+        ("6.11.3", (3, 13), True),
+        ("6.7.3", (3, 11), False),
+        ("7.0.0", (3, 13), False),
+    ],
+)
+def test_pairs_of_qt_and_python(qt, python, fit):
+    assert (check_packages.qt_pair_fault(qt, python) == "") is fit
+
+
+VERSIONS = {
+    "PySide6-Essentials": "6.11.3",
+    "shiboken6": "6.11.3",
+    "opencv-contrib-python-headless": "5.0.0.93",
+    "torch": None,
+}
+
+
+@pytest.mark.parametrize(
+    ("changed", "look", "word"),
+    [
+        ({"PySide6-Essentials": None}, "check_qt_versions", "not installed"),
+        ({"shiboken6": "6.10.0"}, "check_qt_versions", "shiboken6 6.10.0"),
+        ({"PySide6": "6.11.3"}, "check_qt_versions", "mixed"),
+        ({"opencv-python": "4.10"}, "check_opencv", "opencv-python"),
+        ({"opencv-contrib-python-headless": None}, "check_opencv", "not installed"),
+        ({}, "check_torch", "not installed"),
+        ({"numpy": None}, "check_others", "missing"),
+    ],
+)
+def test_wrong_packages_are_named_with_the_fix(monkeypatch, changed, look, word):
+    versions = {**VERSIONS, **changed}
+    monkeypatch.setattr(check_packages, "installed", versions.get)
+    check = getattr(check_packages, look)()
+    assert not check.ok
+    assert word in check.detail
+    assert "pip" in check.fix
+
+
+def test_good_packages_are_good(monkeypatch):
+    monkeypatch.setattr(check_packages, "installed", VERSIONS.get)
+    assert check_packages.check_qt_versions() == Check("qt", True, "PySide6-Essentials 6.11.3")
+    assert check_packages.check_opencv().ok
+
+
+LDD = """libqxcb.so:
+\tlinux-vdso.so.1 (0x00007ffd)
+\tlibxcb-cursor.so.0 => not found
+\tlibxcb-icccm.so.4 => not found
+\tlibm.so.6 => /lib/x86_64-linux-gnu/libm.so.6 (0x00007f)
+./libqxcb.so: /lib/libc.so.6: version `GLIBC_2.99' not found (required by ./libqxcb.so)
+libqoffscreen.so:
+\tlibxcb-cursor.so.0 => not found
+"""
+
+
+def test_missing_libraries_are_read_from_ldd_and_become_packages():
+    assert missing_in(LDD) == ["libxcb-cursor.so.0", "libxcb-icccm.so.4"]
+    assert packages_for(missing_in(LDD)) == ["libxcb-cursor0", "libxcb-icccm4"]
+    assert packages_for(["libunknown.so.7"]) == []
+    assert packages_for(["libgthread-2.0.so.0", "libglib-2.0.so.0"]) == ["libglib2.0-0"]
+    assert all(re.fullmatch(r"[a-z0-9.+-]+", package) for package in PACKAGES.values())
+
+
+def test_missing_libraries_give_the_apt_line(monkeypatch):
+    monkeypatch.setattr(check_packages, "missing_libraries", lambda: missing_in(LDD))
+    check = check_packages.check_qt_libraries()
+    assert not check.ok
+    assert check.fix == "sudo apt-get install libxcb-cursor0 libxcb-icccm4"
+
+
+def test_cameras_are_listed_once_each(tmp_path):
+    for name in ("usb-GelSight_A-video-index0", "usb-GelSight_A-video-index1", "other"):
+        (tmp_path / name).touch()
+    assert check_machine.check_cameras(tmp_path).detail == "usb-GelSight_A-video-index0"
+    none = check_machine.check_cameras(tmp_path / "missing")
+    assert none.ok
+    assert none.fix
+
+
+def test_a_data_folder_that_cannot_be_written_is_named(tmp_path):
+    blocked = tmp_path / "file"
+    blocked.touch()
+    check = check_machine.check_data_folder(blocked / "data")
+    assert not check.ok
+    assert str(blocked) in check.detail
+    assert "TOUCHDOWN_DATA" in check.fix
+    good = check_machine.check_data_folder(tmp_path / "data")
+    assert good.ok
+    assert list((tmp_path / "data").iterdir()) == []
+
+
+def test_a_full_disk_fails(tmp_path, monkeypatch):
+    assert check_machine.check_disk(tmp_path / "not" / "yet").ok
+    monkeypatch.setattr(check_machine, "LEAST_FREE_GB", 1e9)
+    assert not check_machine.check_disk(tmp_path).ok
+
+
+def test_no_display_is_no_failure_but_has_a_way_out(monkeypatch):
+    monkeypatch.setattr(check_machine.sys, "platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    check = check_machine.check_display()
+    assert check.ok
+    assert "make demo" in check.fix
+    monkeypatch.setenv("DISPLAY", ":0")
+    assert check_machine.check_display() == Check("display", True, "X11 :0")

@@ -71,7 +71,7 @@ class PackWriter:
     ) -> None:
         self._writer.__exit__(kind, error, trace)
 
-    def add(self, row: EpisodeRow) -> None:
+    def write(self, row: EpisodeRow) -> None:
         """Append one episode; a shape other than (20, 258) or a NaN raises ``ValueError``."""
         if self.episodes >= MAX_EPISODES:
             raise ValueError(f"a pack holds at most {MAX_EPISODES} episodes")
@@ -103,7 +103,7 @@ def write_packs(
         number = total // MAX_EPISODES
         with PackWriter(folder / f"{stem}-{number:04d}.mcap", metadata) as pack:
             while row is not None and pack.episodes < MAX_EPISODES:
-                pack.add(row)
+                pack.write(row)
                 total += 1
                 row = next(rows, None)
     return total

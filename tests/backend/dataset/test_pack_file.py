@@ -34,7 +34,7 @@ def rows(count: int, **changes: object) -> Iterator[EpisodeRow]:
 def write(path: Path, count: int = 3, **changes: object) -> Path:
     with PackWriter(path, {"seed": "7"}) as pack:
         for row in rows(count, **changes):
-            pack.add(row)
+            pack.write(row)
     return path
 
 

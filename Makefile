@@ -22,10 +22,10 @@ run: setup ## open the window on the simulated bench
 	    echo "Without a screen the same run works as:  make demo"; \
 	    exit 1; \
 	fi
-	@$(BIN)/touchdown app
+	@$(BIN)/touchdown app $(ARGS)
 
 demo: setup ## stack three pieces without a screen and leave a report
-	@$(BIN)/python -m backend.verbs.demo
+	@$(BIN)/touchdown demo
 
 test: setup ## all tests: offscreen, no hardware, no network
 	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/pytest $(TESTS) -q -n $(WORKERS) --dist loadfile
@@ -50,7 +50,11 @@ bench: setup ## every promised figure next to its target
 	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.bench.run
 
 screens: setup ## rewrite the screenshots in docs/img
-	@QT_QPA_PLATFORM=offscreen $(BIN)/python -m app.screens
+	@mkdir -p docs/img
+	@for theme in dark light; do \
+	    QT_QPA_PLATFORM=offscreen $(BIN)/touchdown app --theme $$theme --size 1600x1000 \
+	        --grab docs/img/stack-$$theme.png --after 20; \
+	done
 
 models: setup ## train the models that ship, from nothing
 	@$(BIN)/python -m backend.experiments.models

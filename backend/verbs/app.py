@@ -15,7 +15,7 @@ HELP = "open the window"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.epilog = "Arguments that are not named here are handed on to the window."
+    parser.epilog = "All other arguments go to the window: see 'python -m app --help'."
     parser.set_defaults(handed_on=[])
 
 

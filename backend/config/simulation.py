@@ -5,14 +5,16 @@ Defaults are those of preset ``mixed``. Values marked [U] are unconfirmed estima
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field, model_validator
 
+from backend.config.load import parse, read_toml
 from backend.config.method import NonNegative, Positive, Settings
 
 Share = Annotated[float, Field(ge=0, le=1)]
-Preset: TypeAlias = Literal["mixed", "quiet", "hard", "off"]
+Preset: TypeAlias = Literal["mixed", "quiet", "hard", "off", "realistic"]
 
 
 class GraspSettings(Settings):
@@ -141,11 +143,9 @@ class SimulationSettings(Settings):
         return given if preset is None else _overlay(preset, given)
 
 
-REALISTIC_DISTURBANCE_MM = 0.5
-"""``release_disturbance_mm`` of the named release preset `realistic`."""
-
 PRESETS: dict[str, dict[str, Any]] = {
     "mixed": {},
+    "realistic": {"release_disturbance_mm": 0.5},
     "quiet": {
         "tactile": {
             "white_px": 0.2,
@@ -188,6 +188,17 @@ PRESETS: dict[str, dict[str, Any]] = {
         "spread": dict.fromkeys(SpreadSettings.model_fields, 0.0),
     },
 }
+
+
+def load_simulation(file: Path | None = None, preset: str | None = None) -> SimulationSettings:
+    """Return the settings of ``file`` (None: the defaults), laid over those of ``preset``.
+
+    A named ``preset`` replaces that of the file. Raises ``InputError``.
+    """
+    content = {} if file is None else read_toml(file)
+    if preset is not None:
+        content["preset"] = preset
+    return parse(SimulationSettings, content, str(file) if file else "--preset")
 
 
 def _overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:

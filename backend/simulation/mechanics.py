@@ -31,6 +31,29 @@ class Region(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class Carried:
+    """What a gripping takes from probe to probe: ``slip`` (B, 2, 3) and ``relaxed`` (B, 2, 4)."""
+
+    slip: FloatArray
+    relaxed: FloatArray
+
+    @classmethod
+    def fresh(cls, count: int) -> Carried:
+        """Return ``count`` grippings that have not slipped."""
+        return cls(np.zeros((count, 2, 3)), np.zeros((count, 2, 4)))
+
+    def take(self, index: NDArray[np.intp]) -> Carried:
+        """Return the grippings ``index``."""
+        return Carried(self.slip[index], self.relaxed[index])
+
+    def replaced(self, index: NDArray[np.intp], by: Carried) -> Carried:
+        """Return a copy in which the grippings ``index`` are those of ``by``."""
+        slip, relaxed = self.slip.copy(), self.relaxed.copy()
+        slip[index], relaxed[index] = by.slip, by.relaxed
+        return Carried(slip, relaxed)
+
+
+@dataclass(frozen=True, slots=True)
 class ContactState:
     """What B probes carry from one time step to the next.
 
@@ -76,7 +99,7 @@ def begin(
     outline: Region,
     offset_mm: FloatArray,
     conditions: Conditions,
-    previous: ContactState | None = None,
+    previous: ContactState | Carried | None = None,
     pitch_mm: float = 1.0,
 ) -> ContactState:
     """Start B probes at the true displacements ``offset_mm`` (B, 2) above one bottom ``outline``.
@@ -107,13 +130,14 @@ def begin(
         count=exists.sum(axis=1),
     )
     count = conditions.count
+    kept = Carried.fresh(count) if previous is None else previous
     return ContactState(
         cells=cells,
         conditions=conditions,
-        q=np.zeros((count, 6)) if previous is None else previous.q,
-        slip=np.zeros((count, 2, 3)) if previous is None else previous.slip,
+        q=np.zeros((count, 6)),
+        slip=kept.slip,
         anchor=np.zeros((2, *x.shape)),
-        relaxed=np.zeros((count, 2, 4)) if previous is None else previous.relaxed,
+        relaxed=kept.relaxed,
         residual=np.zeros(count),
     )
 

@@ -1,0 +1,197 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from backend.config.method import BeliefSettings, PolicySettings, StabilitySettings
+from backend.core.flow import ContactPatch, PlaceAction, Stability
+from backend.placement.belief import Belief
+from backend.placement.policy import choose
+from backend.placement.stability import judge
+
+XY = tuple[float, float]
+HERE = (10.0, 20.0)
+
+
+def lattice(radius_mm: float = 7.5) -> np.ndarray:
+    axis = np.arange(-20.0, 21.0)
+    points = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    return points[np.hypot(points[:, 0], points[:, 1]) <= radius_mm + 1e-9]
+
+
+def probed(
+    p: np.ndarray, here: XY = HERE, before: Belief | None = None
+) -> tuple[Belief, ContactPatch]:
+    belief = before or Belief.unknown(BeliefSettings(), here)
+    patch = ContactPatch(lattice(), p)
+    return belief.updated(patch, here), patch
+
+
+def act(
+    belief: Belief,
+    patch: ContactPatch,
+    here: XY = HERE,
+    policy: PolicySettings | None = None,
+    com: XY = (0.0, 0.0),
+    margin_mm: float = 0.0,
+) -> tuple[Stability, PlaceAction]:
+    how = StabilitySettings(margin_mm=margin_mm)
+    stability = judge(belief, patch, com, here, how)
+    return stability, choose(stability, belief, here, policy or PolicySettings(), how)
+
+
+def block(x: tuple[int, int], y: tuple[int, int]) -> np.ndarray:
+    points = lattice()
+    inside = (points[:, 0] >= x[0]) & (points[:, 0] <= x[1])
+    inside &= (points[:, 1] >= y[0]) & (points[:, 1] <= y[1])
+    return np.where(inside, 0.97, 0.03)
+
+
+def test_stable_is_released_with_its_margin() -> None:
+    stability, action = act(*probed(block((-3, 3), (-3, 3))))
+    assert stability.stable
+    assert action == PlaceAction(
+        "release", (0.0, 0.0), None, False, "Centre of mass 3.0 mm inside the hull: release."
+    )
+
+
+def test_shift_is_clipped_and_explained() -> None:
+    _, action = act(*probed(block((3, 7), (-2, 2))))
+    assert action.kind == "shift"
+    assert action.clipped
+    assert action.step_mm == pytest.approx((3.0, 0.0), abs=1e-9)
+    assert action.target_mm is not None
+    assert action.target_mm[1] == pytest.approx(HERE[1])
+    assert action.target_mm[0] - HERE[0] == pytest.approx(5.0)
+    assert action.reason == (
+        "Centre of mass 3.0 mm outside the hull: move 3.0 mm towards 0°, 5.0 mm wanted."
+    )
+
+
+def test_a_short_step_is_taken_whole() -> None:
+    _, action = act(*probed(block((1, 3), (-2, -1))))
+    assert not action.clipped
+    assert action.step_mm == pytest.approx((2.0, -1.5))
+    assert action.target_mm == pytest.approx((12.0, 18.5))
+    assert action.reason == "Centre of mass 1.4 mm outside the hull: move 2.5 mm towards 323°."
+
+
+def test_the_longest_step_is_a_setting() -> None:
+    far = PolicySettings(longest_step_mm=1.25)
+    _, action = act(*probed(block((3, 7), (-2, 2))), policy=far)
+    assert math.hypot(*action.step_mm) == pytest.approx(1.25)
+
+
+@pytest.mark.parametrize(
+    ("what", "expected"),
+    # An L of two bars: x 2..6 at y 0 and y 1..5 at x 2. Area: cells of the triangle.
+    [
+        ("cells", (2 + 10 / 10, 15 / 10)),
+        ("vertices", ((2 + 6 + 2) / 3, 5 / 3)),
+        ("area", None),
+    ],
+)
+def test_hull_centre_modes(what: str, expected: XY | None) -> None:
+    points = lattice()
+    bar = (points[:, 1] == 0) & (points[:, 0] >= 2) & (points[:, 0] <= 6)
+    bar |= (points[:, 0] == 2) & (points[:, 1] >= 1) & (points[:, 1] <= 5)
+    belief, patch = probed(np.where(bar, 0.97, 0.03))
+    policy = PolicySettings(hull_centre=what, longest_step_mm=20.0)
+    _, action = act(belief, patch, policy=policy)
+    if expected is None:
+        triangle = [(x, y) for x in range(2, 7) for y in range(6) if 5 * (x - 2) + 4 * y <= 20]
+        expected = tuple(np.mean(triangle, axis=0))
+    assert action.step_mm == pytest.approx(expected, abs=1e-9)
+
+
+def test_the_centre_of_mass_goes_over_the_support() -> None:
+    _, action = act(*probed(block((-2, 2), (-2, 2))), com=(5.0, 0.0))
+    assert action.kind == "shift"
+    assert action.step_mm == pytest.approx((-3.0, 0.0))
+    assert action.target_mm == pytest.approx((HERE[0] - 5.0, HERE[1]))
+
+
+def test_the_whole_map_gives_the_target() -> None:
+    """Support found by a former probe beside the piece counts for the target (method 10)."""
+    belief, _ = probed(block((-7, -5), (-1, 1)))
+    there = (HERE[0] + 9.0, HERE[1])
+    belief, patch = probed(np.full(177, 0.03), there, belief)
+    stability, action = act(belief, patch, there)
+    assert stability.hull_mm.shape == (0, 2)
+    assert action.step_mm == pytest.approx((-3.0, 0.0))
+    assert action.reason.startswith("No confident support under the piece")
+
+
+def test_best_cells_without_confident_support() -> None:
+    points = lattice()
+    p = np.where(points[:, 0] + points[:, 1] > 6, 0.7, 0.1)
+    stability, action = act(*probed(p))
+    assert stability.support.value == "no confident support"
+    assert action.kind == "shift"
+    assert action.step_mm[0] == pytest.approx(action.step_mm[1])
+    assert action.step_mm[0] > 0
+    assert "towards the most probable cells" in action.reason
+
+
+def test_without_any_hint_it_looks_around() -> None:
+    belief, patch = probed(np.full(177, 0.3))
+    _, action = act(belief, patch)
+    assert action.step_mm == pytest.approx((3.0, 0.0))
+    assert "looking around" in action.reason
+
+
+def test_spiral_visits_new_places_only() -> None:
+    policy = PolicySettings(fallback="spiral", max_probes=30)
+    here, belief = HERE, None
+    places = [here]
+    for _ in range(12):
+        belief, patch = probed(np.full(177, 0.3), here, belief)
+        _, action = act(belief, patch, here, policy)
+        here = (here[0] + action.step_mm[0], here[1] + action.step_mm[1])
+        assert min(math.dist(here, place) for place in places) >= 3.0 - 1e-9
+        assert math.hypot(*action.step_mm) <= 3.0 + 1e-9
+        places.append(here)
+    assert max(math.dist(HERE, place) for place in places) < 3.0 * 3
+
+
+def test_fallback_stop_gives_up() -> None:
+    _, action = act(*probed(np.full(177, 0.3)), policy=PolicySettings(fallback="stop"))
+    assert action.kind == "give_up"
+    assert "no better place" in action.reason
+
+
+def test_a_stalled_greedy_rule_looks_around() -> None:
+    belief, patch = probed(block((-1, 1), (-1, 1)))
+    stability, action = act(belief, patch, margin_mm=2.0)
+    assert not stability.stable
+    assert action.kind == "shift"
+    assert math.hypot(*action.step_mm) >= 0.5
+    assert "1.0 mm inside the hull, 2.0 mm required" in action.reason
+    assert "already over the middle of the support" in action.reason
+
+
+def test_gives_up_after_the_most_probes() -> None:
+    belief, patch = probed(block((3, 7), (-2, 2)))
+    assert act(belief, patch, policy=PolicySettings(max_probes=2))[1].kind == "shift"
+    _, action = act(belief, patch, policy=PolicySettings(max_probes=1))
+    assert action.kind == "give_up"
+    assert action.reason == (
+        "Centre of mass 3.0 mm outside the hull after 1 probes, the most allowed: giving up."
+    )
+
+
+def test_the_last_probe_may_still_release() -> None:
+    belief, patch = probed(block((-3, 3), (-3, 3)))
+    assert act(belief, patch, policy=PolicySettings(max_probes=1))[1].kind == "release"
+
+
+def test_no_estimate_is_never_acted_on() -> None:
+    belief, good = probed(block((-3, 3), (-3, 3)))
+    p = good.probability.copy()
+    p[0] = math.nan
+    broken = ContactPatch(good.points_mm, p)
+    _, action = act(belief.updated(broken, HERE), broken)
+    assert action.kind == "give_up"
+    assert "no usable estimate" in action.reason

@@ -28,6 +28,8 @@ class HiddenMarkers:
 
     def carry(self, step: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
         """Return ``step`` (63, 2) with the unseen filled smoothly."""
+        if seen.all():
+            return step
         filled: FloatArray = fill_field(step[None], seen[None])[0]
         return filled
 

@@ -32,8 +32,11 @@ class UsualLooks:
             return np.zeros(0, dtype=bool)
         own = self._usual[markers]
         fresh = (own[:, 0] > 0) & ~stale
-        typical = np.median(own[fresh] if fresh.any() else looks, axis=0)
-        ratio = looks / np.where(fresh[:, None], own, np.maximum(typical, 1e-6))
+        expected = own
+        if not fresh.all():
+            typical = np.median(own[fresh] if fresh.any() else looks, axis=0)
+            expected = np.where(fresh[:, None], own, np.maximum(typical, 1e-6))
+        ratio = looks / expected
         lowest = np.where(fresh, OWN_RANGE[0], COMMON_RANGE[0])[:, None]
         highest = np.where(fresh, OWN_RANGE[1], COMMON_RANGE[1])[:, None]
         good = ((ratio >= lowest) & (ratio <= highest)).all(axis=1)

@@ -23,7 +23,7 @@ from backend.core.flow import (
 )
 from backend.core.inference import misfit
 from backend.sensing.assignment import assign_rest, nearest_dots, out_of_order
-from backend.sensing.detector import HEIGHT_PX, WIDTH_PX, Blobs, FlatImage
+from backend.sensing.detector import HEIGHT_PX, WIDTH_PX, Blobs, Detector
 from backend.sensing.grid import NO_GRID, GridReport, order_grid
 from backend.sensing.hidden import HiddenMarkers
 from backend.sensing.looks import UsualLooks
@@ -53,6 +53,7 @@ class MarkerTracker:
         self.finger = finger
         self.grid: GridReport = NO_GRID
         self._reference: Reference | None = None
+        self._detector = Detector()
         self._locked = False
         self._position = _straight_grid()
         self._looks = UsualLooks()
@@ -79,12 +80,12 @@ class MarkerTracker:
         """Return the markers of ``frame``; frames must come in order of time."""
         if not _readable(frame.image):
             return self._blind(frame)
-        flat = FlatImage(frame.image)
-        blobs = flat.blobs()
+        self._detector.look(frame.image)
+        blobs = self._detector.blobs()
         owner = self._own(blobs)
         if owner is None:
             return self._blind(frame)
-        seen, position = self._centre(flat, blobs, owner, frame.t_s)
+        seen, position = self._centre(blobs, owner, frame.t_s)
         rough_px = self._reject_strays(position, seen)
         self._settle(position, seen, frame.t_s)
         share = float(seen.mean())
@@ -158,13 +159,13 @@ class MarkerTracker:
         self._looks = UsualLooks()
 
     def _centre(
-        self, flat: FlatImage, blobs: Blobs, owner: NDArray[np.intp], t_s: float
+        self, blobs: Blobs, owner: NDArray[np.intp], t_s: float
     ) -> tuple[NDArray[np.bool_], FloatArray]:
         """Return which markers are seen, and the places (63, 2) of those."""
         seen = owner >= 0
         position = self._position.copy()
         start = blobs.centre_px[owner[seen]]
-        centres = flat.refine(start)
+        centres = self._detector.refine(start)
         looks = np.column_stack([centres.mass, blobs.area_px[owner[seen]]])
         stale = t_s - self._last_seen_s[seen] > LOST_AFTER_S
         good = self._looks.recognise(np.flatnonzero(seen), looks, stale)

@@ -17,7 +17,8 @@ class Stage:
     """Unguarded devices of one scene. ``advance`` moves the bench's time by so many microseconds.
 
     ``devices`` names all five for the chips; ``scoring`` is None where the truth is unknown;
-    ``payload`` (6,) is the calibrated weight below the sensor, N and N·m. ``describe`` is a JSON-ready record of everything the scene depends on.
+    ``payload`` (6,) is the calibrated weight below the sensor, N and N·m. ``describe`` is a
+    JSON-ready record of everything the scene depends on.
     """
 
     clock: Clock

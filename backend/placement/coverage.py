@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,20 +51,42 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class FaceLattice:
-    """Face points as a full grid: ``present`` and ``values`` (ny, nx); corner (0, 0) in ``F``."""
+    """Face points as a full grid; its corner (0, 0) stands at ``corner_mm`` in ``F``.
+
+    ``index`` (N, 2): column and row of each point; ``present`` (ny, nx); ``hull`` (k, 2): hull of
+    the points in lattice coordinates.
+    """
 
     corner_mm: tuple[float, float]
     pitch_mm: float
+    index: NDArray[np.intp]
     present: NDArray[np.bool_]
-    values: FloatArray
+    hull: FloatArray
+
+    def __post_init__(self) -> None:
+        for array in (self.index, self.present, self.hull):
+            read_only(array)
+
+    def grid(self, values: FloatArray) -> FloatArray:
+        """Return ``values`` (N,) as (ny, nx), zero where there is no point."""
+        grid = np.zeros(self.present.shape)
+        grid[self.index[:, 1], self.index[:, 0]] = values
+        return grid
 
 
-def face_lattice(points_mm: FloatArray, values: FloatArray, pitch_mm: float) -> FaceLattice:
-    """Arrange lattice points (N, 2) and their values (N,) as a grid.
+def face_lattice(points_mm: FloatArray, pitch_mm: float) -> FaceLattice:
+    """Arrange the lattice points (N, 2) of a face as a grid.
 
     ``pitch_mm`` is used where the points do not show one (a single point). Raises ValueError if
     the points are not those of a square lattice.
     """
+    return _arranged(np.ascontiguousarray(points_mm, dtype=np.float64).tobytes(), pitch_mm)
+
+
+@lru_cache(maxsize=16)
+def _arranged(points: bytes, pitch_mm: float) -> FaceLattice:
+    """Arrange once: every probe of a run has the same face."""
+    points_mm = np.frombuffer(points, dtype=np.float64).reshape(-1, 2)
     corner = points_mm.min(axis=0)
     steps = np.concatenate([np.diff(np.unique(points_mm[:, axis])) for axis in (0, 1)])
     steps = steps[steps > SNAP]
@@ -74,10 +97,9 @@ def face_lattice(points_mm: FloatArray, values: FloatArray, pitch_mm: float) -> 
         raise ValueError("the points of the face do not lie on a square lattice")
     columns, rows = index.max(axis=0) + 1
     present = np.zeros((rows, columns), dtype=np.bool_)
-    grid = np.zeros((rows, columns))
     present[index[:, 1], index[:, 0]] = True
-    grid[index[:, 1], index[:, 0]] = values
-    return FaceLattice((float(corner[0]), float(corner[1])), pitch, present, grid)
+    corner_mm = (float(corner[0]), float(corner[1]))
+    return FaceLattice(corner_mm, pitch, index, present, convex_hull(index))
 
 
 def cover(
@@ -89,13 +111,13 @@ def cover(
     coincide, else bilinearly. A cell is covered if it lies within the hull of the lattice, so that
     no support is ever claimed outside the face. Cells outside the map are left out.
     """
-    face = face_lattice(points_mm, values, grid.pitch_mm)
+    face = face_lattice(points_mm, grid.pitch_mm)
     rows, v = _within(grid, face, offset_mm, axis=1)
     columns, u = _within(grid, face, offset_mm, axis=0)
     covered = np.zeros(grid.shape, dtype=np.bool_)
     log_odds = np.zeros(grid.shape)
     if len(rows) and len(columns):
-        weight, total = _bilinear(face, u, v)
+        weight, total = _bilinear(face, values, u, v)
         cells = np.stack(np.meshgrid(u, v), axis=-1)
         on_face = (weight >= LEAST_WEIGHT - SNAP) & _in_hull(face, cells)
         window = np.ix_(rows, columns)
@@ -118,12 +140,13 @@ def _within(
     return kept, np.asarray(place[kept], dtype=np.float64)
 
 
-def _bilinear(face: FaceLattice, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _bilinear(
+    face: FaceLattice, values: FloatArray, u: FloatArray, v: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return the weight of present lattice points, and the weighted sum of their values."""
-    present = np.pad(face.present.astype(np.float64), (0, 1))
-    values = np.pad(np.where(face.present, face.values, 0.0), (0, 1))
-    across, down = _hat(u, present.shape[1]), _hat(v, present.shape[0])
-    return down @ present @ across.T, down @ values @ across.T
+    rows, columns = face.present.shape
+    across, down = _hat(u, columns).T, _hat(v, rows)
+    return down @ face.present.astype(np.float64) @ across, down @ face.grid(values) @ across
 
 
 def _hat(place: FloatArray, count: int) -> FloatArray:
@@ -132,9 +155,7 @@ def _hat(place: FloatArray, count: int) -> FloatArray:
 
 
 def _in_hull(face: FaceLattice, cells: FloatArray) -> NDArray[np.bool_]:
-    rows, columns = np.nonzero(face.present)
-    hull = convex_hull(np.stack((columns, rows), axis=1))
-    if len(hull) < 3:
+    if len(face.hull) < 3:
         # A face of one point or one line: only cells exactly on its points are covered.
         return np.asarray((cells == np.rint(cells)).all(axis=-1), dtype=np.bool_)
-    return inside(hull, cells)
+    return inside(face.hull, cells)

@@ -65,8 +65,10 @@ def support_hull_mm(belief: Belief, cells: NDArray[np.bool_]) -> FloatArray:
 def _hull_on_map(
     belief: Belief, patch: ContactPatch, offset_mm: tuple[float, float], delta: float
 ) -> FloatArray:
-    grid = CellGrid.of(belief.map)
-    under = cover(grid, patch.points_mm, patch.probability, offset_mm).covered
+    last = belief.evidence[-1] if belief.evidence else None
+    if last is None or last.offset_mm != offset_mm:
+        last = cover(CellGrid.of(belief.map), patch.points_mm, patch.probability, offset_mm)
+    under = last.covered
     return support_hull_mm(belief, confident(belief, delta) & under)
 
 
@@ -74,8 +76,7 @@ def _hull_on_face(
     belief: Belief, patch: ContactPatch, offset_mm: tuple[float, float], delta: float
 ) -> FloatArray:
     """Hull of the latest patch alone, on the points of the face itself."""
-    face = face_lattice(patch.points_mm, belief.log_odds(patch.probability), belief.map.pitch_mm)
-    rows, columns = np.nonzero(face.present & (face.values > threshold(delta)))
-    hull = convex_hull(np.stack((columns, rows), axis=1))
+    face = face_lattice(patch.points_mm, belief.map.pitch_mm)
+    hull = convex_hull(face.index[belief.log_odds(patch.probability) > threshold(delta)])
     corner = np.add(face.corner_mm, offset_mm)
     return np.asarray(corner + face.pitch_mm * hull, dtype=np.float64)

@@ -32,12 +32,13 @@ def hull_centre(
     hull = support_hull_mm(belief, cells)
     if not len(hull):
         return None
-    centres = belief.map.cell_centres_mm()
-    if what == "cells":
-        return _mean(centres[cells])
-    if what == "vertices" or len(hull) < 3:
+    if what == "vertices" or (what == "area" and len(hull) < 3):
         return _mean(hull)
-    return _mean(centres[inside(hull, centres)])
+    # Every cell inside the hull lies in the box round the confident ones.
+    rows, columns = np.flatnonzero(cells.any(axis=1)), np.flatnonzero(cells.any(axis=0))
+    box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    centres = belief.map.cell_centres_mm()[box]
+    return _mean(centres[cells[box] if what == "cells" else inside(hull, centres)])
 
 
 def best_cells(belief: Belief) -> XY | None:

@@ -1,0 +1,169 @@
+"""Follow the markers through an image, a video or a folder of images."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+
+from backend.core.faults import InputError
+from backend.core.flow import GRID_COLS, GRID_ROWS, MarkerField, MarkerState, TactileFrame
+from backend.sensing.marker_overlay import OverlayVideo
+from backend.sensing.markers import MarkerTracker
+from backend.sensing.pictures import DEFAULT_RATE_HZ, count_pictures, read_pictures
+from backend.sensing.reference import Reference
+from backend.verbs.screen import Screen
+
+NAME = "track"
+HELP = "follow the markers through an image, a video or a folder"
+_GRID = f"{GRID_ROWS}x{GRID_COLS}"
+_SEARCH_FRAMES = 25
+
+
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """One frame's markers and the time the tracker took, in ms."""
+
+    field: MarkerField
+    ms: float
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("file", type=Path, help="image, video or folder of images")
+    parser.add_argument("--grid", default=_GRID, help="rows x columns of the gel (only 7x9)")
+    parser.add_argument(
+        "--reference", type=Path, help="rest images that displacements count from (default: first)"
+    )
+    parser.add_argument("--overlay", type=Path, help="write a video with the markers drawn in")
+
+
+def run(args: argparse.Namespace, screen: Screen) -> int:
+    """Track and report; ``InputError`` for files or gels that cannot be tracked."""
+    if args.grid.lower() != _GRID:
+        raise InputError(
+            f"Grid {args.grid} is not supported.",
+            "--grid",
+            f"The model takes {_GRID} markers; use a {_GRID} large-dot gel.",
+        )
+    reference = rest_places(args.reference) if args.reference else None
+    tracked: list[Tracked] = []
+    with ExitStack() as stack:
+        overlay = (
+            stack.enter_context(OverlayVideo(args.overlay, DEFAULT_RATE_HZ))
+            if args.overlay
+            else None
+        )
+        advance = stack.enter_context(screen.progress("Tracking", count_pictures(args.file)))
+        for frame, item in follow(args.file, reference):
+            tracked.append(item)
+            if overlay is not None:
+                overlay.add(frame, item.field)
+            advance(len(tracked))
+    _summarise(args.file, tracked, screen)
+    screen.result({"grid": _GRID, "frames": [_as_json(item) for item in tracked]})
+    return 0
+
+
+def follow(
+    path: Path, reference: Reference | None = None
+) -> Iterator[tuple[TactileFrame, Tracked]]:
+    """Yield the frames of ``path`` with their markers, by the live tracker.
+
+    Without ``reference`` displacements count from the first frame that shows the grid. Raises
+    ``InputError`` if no 7x9 grid is recognised within the first second.
+    """
+    tracker = MarkerTracker("left", reference)
+    located = False
+    for count, frame in enumerate(read_pictures(path), start=1):
+        start = time.perf_counter()
+        field = tracker.track(frame)
+        ms = 1e3 * (time.perf_counter() - start)
+        if not located and field.quality > 0:
+            located = True
+            if reference is None:
+                tracker.set_reference(_as_reference([field]))
+        if not located and count >= _SEARCH_FRAMES:
+            break
+        yield frame, Tracked(field, ms)
+    if not located:
+        raise _unrecognised(tracker, path)
+
+
+def rest_places(path: Path) -> Reference:
+    """Return the mean marker places over the pictures of ``path`` that show all 63."""
+    tracker = MarkerTracker("left")
+    fields = [tracker.track(frame) for frame in read_pictures(path)]
+    whole = [field for field in fields if (field.state == MarkerState.SEEN).all()]
+    if not whole:
+        raise _unrecognised(tracker, path)
+    return _as_reference(whole)
+
+
+def _as_reference(fields: list[MarkerField]) -> Reference:
+    places = np.stack([field.position_px for field in fields])
+    noise = places.std(axis=0).mean(axis=1)
+    return Reference("left", fields[-1].t_s, places.mean(axis=0), noise, len(fields))
+
+
+def _unrecognised(tracker: MarkerTracker, path: Path) -> InputError:
+    return InputError(
+        f"No {_GRID} marker grid was recognised: {tracker.grid.message}.",
+        str(path),
+        f"Use pictures of a {_GRID} large-dot gel with all dots in view at the start.",
+    )
+
+
+def _as_json(item: Tracked) -> dict[str, object]:
+    field = item.field
+    markers = [
+        {
+            "row": index // GRID_COLS,
+            "col": index % GRID_COLS,
+            "x_px": round(float(place[0]), 4),
+            "y_px": round(float(place[1]), 4),
+            "dx_px": round(float(move[0]), 4),
+            "dy_px": round(float(move[1]), 4),
+            "state": MarkerState(int(state)).name.lower(),
+        }
+        for index, (place, move, state) in enumerate(
+            zip(field.position_px, field.displacement_px, field.state, strict=True)
+        )
+    ]
+    return {
+        "index": field.sequence,
+        "ms": round(item.ms, 4),
+        "quality": round(field.quality, 4),
+        "markers": markers,
+    }
+
+
+def _summarise(path: Path, tracked: list[Tracked], screen: Screen) -> None:
+    fields = [item.field for item in tracked]
+    state = np.stack([field.state for field in fields])
+    moved = np.stack([np.linalg.norm(field.displacement_px, axis=1) for field in fields])
+    table = Table(title=f"{path.name}: {len(fields)} frames, grid {_GRID}")
+    table.add_column("measure")
+    table.add_column("value", justify="right")
+    rows = {
+        "markers seen": _share(state, MarkerState.SEEN),
+        "inferred from neighbours": _share(state, MarkerState.INFERRED),
+        "lost": _share(state, MarkerState.LOST),
+        "largest displacement": f"{moved.max():.2f} px",
+        "lowest frame quality": f"{min(field.quality for field in fields):.2f}",
+        "time per frame, median": f"{np.median([item.ms for item in tracked]):.2f} ms",
+    }
+    for name, value in rows.items():
+        table.add_row(name, value)
+    screen.show(table)
+
+
+def _share(state: NDArray[np.uint8], kind: MarkerState) -> str:
+    return f"{100 * (state == kind).mean():.2f} %"

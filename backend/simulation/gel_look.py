@@ -61,7 +61,7 @@ def feats_variant(look: GelLook) -> GelLook:
 
 
 def mirrored(look: GelLook, width_px: int = 320) -> GelLook:
-    """Return the look of the opposite finger: the image flipped left to right, order kept row-major."""
+    """Return the look of the opposite finger: flipped left to right, order kept row-major."""
     grid = look.rest_px.reshape(GRID_ROWS, GRID_COLS, 2)[:, ::-1].copy()
     grid[..., 0] = width_px - 1 - grid[..., 0]
     return replace(

@@ -1,10 +1,10 @@
 """Renders tactile images: 320x240 BGR from the displacement of the 63 markers.
 
-Source: bench reference 7. I = B + P + m (core - B - P) + n with the background B, the fixed grain P,
-the temporal noise n and the dot mask m, the largest of 63 logistic discs. Discs follow the local
-displacement gradient as ellipses. B + P is computed once; a frame draws 63 small patches and adds a
-random window of a noise bank, because a fresh normal for each of 230,400 values would cost more
-than everything else.
+Source: bench reference 7. I = B + P + m (core - B - P) + n with the background B, the fixed grain
+P, the temporal noise n and the dot mask m, the largest of 63 logistic discs. Discs follow the
+local displacement gradient as ellipses. B + P is computed once; a frame draws 63 small patches and
+adds a random window of a noise bank, because a fresh normal for each of 230,400 values would cost
+more than everything else.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class FingerOptics:
     def render(
         self, displacement_px: FloatArray, hidden: NDArray[np.bool_], phase: float = 0.0
     ) -> ImageArray:
-        """Return the image for ``displacement_px`` (63, 2); ``hidden`` (63,) dots lie under a smear."""
+        """Return the image for ``displacement_px`` (63, 2); smears cover ``hidden`` dots (63,)."""
         centre_px = self.look.rest_px + displacement_px
         self._draw_dots(centre_px, displacement_px)
         np.multiply(self._to_core, self._mask, out=self._frame)
@@ -121,7 +121,7 @@ class FingerOptics:
 
 
 def _background(look: GelLook) -> Float32:
-    """Return (3, 240, 320): cubic interpolation of the colour table, smoothed with σ 20 px."""
+    """Return (3, 240, 320): cubic interpolation of the colour table, smoothed over 20 px."""
     table = look.background.astype(np.float32)
     large = cv2.resize(table, (WIDTH_PX, HEIGHT_PX), interpolation=cv2.INTER_CUBIC)
     smooth = cv2.GaussianBlur(large, (0, 0), 20.0, borderType=cv2.BORDER_REPLICATE)
@@ -129,7 +129,7 @@ def _background(look: GelLook) -> Float32:
 
 
 def _grain(look: GelLook, rng: np.random.Generator) -> Float32:
-    """Return (3, 240, 320): Gaussian pattern of correlation 1 px and the look's σ per channel."""
+    """Return (3, 240, 320): Gaussian pattern of correlation 1 px and the look's deviation."""
     white = rng.standard_normal((HEIGHT_PX, WIDTH_PX, 3), dtype=np.float32)
     smooth = np.asarray(cv2.GaussianBlur(white, (0, 0), 1.0), dtype=np.float32)
     smooth *= np.float32(look.grain / float(smooth.std()))
@@ -142,8 +142,8 @@ def _inverse_stretch(displacement_px: FloatArray, rest_px: FloatArray) -> FloatA
     rest = rest_px.reshape(GRID_ROWS, GRID_COLS, 2)
     pitch_u = float(np.mean(np.diff(rest[..., 0], axis=1)))
     pitch_v = float(np.mean(np.diff(rest[..., 1], axis=0)))
-    along_u = np.gradient(grid, pitch_u, axis=1).reshape(MARKERS, 2)
-    along_v = np.gradient(grid, pitch_v, axis=0).reshape(MARKERS, 2)
+    along_u = np.asarray(np.gradient(grid, pitch_u, axis=1)).reshape(MARKERS, 2)
+    along_v = np.asarray(np.gradient(grid, pitch_v, axis=0)).reshape(MARKERS, 2)
     stretch = np.stack([along_u, along_v], axis=-1)
     stretch[:, 0, 0] += 1.0
     stretch[:, 1, 1] += 1.0

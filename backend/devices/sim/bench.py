@@ -1,0 +1,133 @@
+"""The simulated bench: the devices of one scene on one hand-wound clock."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from backend.config.simulation import SimulationSettings
+from backend.core.clock import HandClock
+from backend.core.flow import FINGERS, Finger, FloatArray, TactileFrame
+from backend.core.stream import SampleStream, Stream
+from backend.devices.protocols import Device
+from backend.devices.sim.arm import SimArm
+from backend.devices.sim.force_torque import SimForceTorque
+from backend.devices.sim.gripper import SimGripper
+from backend.devices.sim.tactile import SimTactile
+from backend.simulation.disturbances import Script
+from backend.simulation.scene import Scene
+from backend.simulation.scoring import Truth
+from backend.simulation.world import Sensed, World
+
+FRAME_CAPACITY = 256
+SAMPLE_CAPACITY = 32_768
+JUMP_N = 50.0
+
+
+@dataclass(frozen=True, slots=True)
+class BenchStreams:
+    """Where the devices put what they deliver; streams may outlive a scene."""
+
+    frames: Mapping[Finger, Stream[TactileFrame]]
+    samples: SampleStream
+    poses: SampleStream
+
+    @classmethod
+    def new(cls) -> BenchStreams:
+        """Return fresh streams."""
+        return cls(
+            {finger: Stream(f"tactile_{finger}", FRAME_CAPACITY) for finger in FINGERS},
+            SampleStream("force_torque", 6, SAMPLE_CAPACITY),
+            SampleStream("arm", 3, SAMPLE_CAPACITY),
+        )
+
+    def clear(self) -> None:
+        """Forget what a former scene left: its clock began at zero as well."""
+        for frames in self.frames.values():
+            frames.clear()
+        self.samples.clear()
+        self.poses.clear()
+
+
+class SimulatedBench:
+    """Five devices, a clock, and the truth for scoring. Time moves only by ``advance``."""
+
+    def __init__(
+        self, scene: Scene, script: Script | None = None, streams: BenchStreams | None = None
+    ) -> None:
+        self.scene = scene
+        self._script = script or Script()
+        streams = streams or BenchStreams.new()
+        streams.clear()
+        self.clock = HandClock()
+        self._world = World(scene, self._script)
+        now_s = self.clock.now_s
+        self.arm = SimArm(self._world, streams.poses, now_s)
+        self.gripper = SimGripper(self._world, now_s)
+        self.force_torque = SimForceTorque(streams.samples, now_s)
+        self.tactile: Mapping[Finger, SimTactile] = {
+            finger: SimTactile(finger, streams.frames[finger], now_s, self._script)
+            for finger in FINGERS
+        }
+
+    @property
+    def settings(self) -> SimulationSettings:
+        """Settings of the scene."""
+        return self.scene.settings
+
+    @property
+    def devices(self) -> Mapping[str, Device]:
+        """All devices by name."""
+        return {
+            "arm": self.arm,
+            "gripper": self.gripper,
+            "force_torque": self.force_torque,
+            "tactile_left": self.tactile["left"],
+            "tactile_right": self.tactile["right"],
+        }
+
+    def connect(self) -> None:
+        """Connect all devices."""
+        cancel = threading.Event()
+        for device in self.devices.values():
+            device.connect(1.0, cancel)
+
+    def advance(self, step_us: int) -> None:
+        """Move time on by ``step_us``; the world moves at the boundaries of its cycles."""
+        end_us = self.clock.now_us + step_us
+        while self._world.now_us + self._world.cycle_us <= end_us:
+            sensed = self._world.step()
+            self.clock.wind(sensed.end_us - self.clock.now_us)
+            self._deliver(sensed)
+        self.clock.wind(end_us - self.clock.now_us)
+
+    def truth(self, *, animate: bool = False) -> Truth:
+        """Return how things really are; ``animate`` adds the motion of a fall where possible."""
+        return self._world.truth(animate=animate)
+
+    def _deliver(self, sensed: Sensed) -> None:
+        t_s = sensed.end_us * 1e-6
+        self.arm.deliver(t_s, sensed.pose_mm, silent=self._script.active("arm", "silent", t_s))
+        self.gripper.deliver(t_s)
+        wrench = self._disturbed(sensed, t_s)
+        if wrench is not None and self.force_torque.deliver(sensed.t_s, wrench):
+            self._world.hear(sensed.t_s, wrench[:, 2])
+        else:
+            self._world.hear(np.empty(0), np.empty(0))
+        for finger in FINGERS:
+            self.tactile[finger].deliver(sensed.shots[finger])
+
+    def _disturbed(self, sensed: Sensed, t_s: float) -> FloatArray | None:
+        """Return the wrist samples as the sensor would deliver them, None if it is silent."""
+        if self._script.active("force_torque", "stop", t_s):
+            return None
+        wrench = sensed.wrench
+        if self._script.active("force_torque", "nan", t_s):
+            return np.full_like(wrench, np.nan)
+        if self._script.active("force_torque", "jump", t_s):
+            wrench = wrench.copy()
+            wrench[:, 2] += JUMP_N
+        return wrench

@@ -1,0 +1,85 @@
+"""The connection every simulated device has: state, identity, and counts of what arrived."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+
+from backend.core.faults import Fault, FaultError
+from backend.devices.protocols import DeviceState, Health, Identity
+
+RATE_WINDOW_S = 1.0
+
+
+class Connection:
+    """State and counts of one device; ``now_s`` is the bench clock."""
+
+    def __init__(self, name: str, model: str, now_s: Callable[[], float]) -> None:
+        self.name, self._model, self._now_s = name, model, now_s
+        self._state = DeviceState.CLOSED
+        self._identity: Identity | None = None
+        self._received, self._lost = 0, 0
+        self._arrivals: deque[tuple[float, int]] = deque(maxlen=256)
+        self._lock = threading.Lock()
+
+    @property
+    def state(self) -> DeviceState:
+        """Closed or ready."""
+        return self._state
+
+    @property
+    def ready(self) -> bool:
+        """Whether the device is connected."""
+        return self._state is DeviceState.READY
+
+    @property
+    def identity(self) -> Identity | None:
+        """Known once connected."""
+        return self._identity
+
+    def open(self) -> None:
+        """Connect; a second time changes nothing."""
+        with self._lock:
+            if self.ready:
+                return
+            self._identity = Identity("Touchdown", self._model, f"SIM-{self.name}", "simulated")
+            self._received, self._lost = 0, 0
+            self._arrivals.clear()
+            self._state = DeviceState.READY
+
+    def close(self) -> None:
+        """Close; a second time changes nothing."""
+        self._state = DeviceState.CLOSED
+
+    def arrived(self, t_s: float, count: int, lost: int = 0) -> None:
+        """Count ``count`` samples, the newest stamped ``t_s``, and ``lost`` before them."""
+        with self._lock:
+            self._received += count
+            self._lost += lost
+            self._arrivals.append((t_s, count))
+
+    @property
+    def health(self) -> Health:
+        """Rate over the last second of bench time, age of the newest sample, counts."""
+        now_s = self._now_s()
+        with self._lock:
+            newest_s = self._arrivals[-1][0] if self._arrivals else float("-inf")
+            recent = [(t, n) for t, n in self._arrivals if t > now_s - RATE_WINDOW_S]
+            received, lost = self._received, self._lost
+        span_s = min(RATE_WINDOW_S, max(now_s, 1e-6))
+        rate_hz = sum(n for _, n in recent) / span_s
+        return Health(rate_hz, now_s - newest_s, received, lost)
+
+    def require_ready(self) -> None:
+        """Raise ``FaultError`` unless connected."""
+        if not self.ready:
+            raise FaultError(
+                Fault(
+                    "NOT-CONNECTED",
+                    f"The device '{self.name}' is not connected.",
+                    "Nothing was moved.",
+                    "Connect the device first.",
+                    self.name,
+                )
+            )

@@ -1,0 +1,257 @@
+"""The simulated bench as a world in cycles of 10 ms: arm, jaws, piece, contact, sensors.
+
+Everything random comes from the scene's seed, everything else from the commands and the cycles in
+which they came: the same scene and commands give the same bytes however time is wound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from backend.config.method import ProbeSettings
+from backend.core.flow import FINGERS, Fall, Finger, FloatArray
+from backend.simulation import scoring
+from backend.simulation.arm import ArmDrive, Cycle, Press, PressLaw, Travel, Unload
+from backend.simulation.disturbances import Script
+from backend.simulation.finger_camera import FingerCamera, Shot, Sight
+from backend.simulation.gel import build_gel
+from backend.simulation.gel_look import load_look, mirrored
+from backend.simulation.gripper import Jaws
+from backend.simulation.holding import Holding, start_command_mm
+from backend.simulation.optics import FingerOptics
+from backend.simulation.scene import Scene
+from backend.simulation.scoring import Truth
+from backend.simulation.timeline import VALUES
+from backend.simulation.wrist import Strain, Wrist
+
+CLEARANCE_MM = 20.0
+"""Open jaws at the start are wider than the piece by this much."""
+DRAG_MM = 1.0
+DRAG_N = 0.5
+"""Dragging a pressed piece sideways by more than this knocks a free support over."""
+_TARE_CYCLES = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Sensed:
+    """What one cycle brought: wrist samples (n,), (n, 6), pictures, and ``G`` (3,) at its end."""
+
+    end_us: int
+    t_s: FloatArray
+    wrench: FloatArray
+    shots: Mapping[Finger, list[Shot]]
+    pose_mm: FloatArray
+
+
+class World:
+    """Steps the scene. Commands come between steps; ``drive`` and ``jaws`` halt at any time."""
+
+    def __init__(self, scene: Scene, script: Script | None = None) -> None:
+        self.scene, self._script = scene, script or Script()
+        settings = scene.settings
+        self.cycle_us = settings.cycle_us
+        self.now_us = 0
+        self.drive = ArmDrive(start_command_mm(scene))
+        width_mm = scene.piece.width_mm
+        self.jaws = Jaws(width_mm + CLEARANCE_MM, width_mm)
+        tactile = settings.tactile
+        self._gel = build_gel(
+            tactile.mm_per_px, tactile.pitch_mm, tactile.roll_off_mm, tactile.dilation
+        )
+        seeds = np.random.SeedSequence([scene.seed, 7]).generate_state(3)
+        self._wrist = Wrist(settings.wrist, self.cycle_us, int(seeds[2]))
+        self._cameras = _cameras(scene, seeds.tolist())
+        self._holding: Holding | None = None
+        self._grips = 0
+        self._rest = np.zeros(VALUES)
+        self._values = self._rest
+        self._heard: tuple[FloatArray, FloatArray] = (np.empty(0), np.empty(0))
+        self._recent_n: list[float] = []
+        self._tare_n = 0.0
+        self._put_down: tuple[tuple[float, float], float] | None = None
+        self._final: Truth | None = None
+        self.knocked_over = False
+        self._field_px = self._field(self._values)
+
+    # -- commands ---------------------------------------------------------------------------------
+
+    def travel(self, target_mm: FloatArray, speed_mm_s: float) -> Travel:
+        """Begin a straight move of ``G`` to ``target_mm`` (3,)."""
+        program = Travel(self.drive.command_mm, target_mm, speed_mm_s)
+        self.drive.run(program)
+        return program
+
+    def press(self, law: PressLaw, stiffness_n_mm: tuple[float, float, float]) -> Press:
+        """Begin a press; a new probe starts and its nuisances are drawn."""
+        if self._holding is not None:
+            self._holding.begin_probe(ProbeSettings(stiffness_n_mm=stiffness_n_mm))
+        self._tare_n = float(np.mean(self._recent_n)) if self._recent_n else 0.0
+        program = Press(law, float(self.drive.command_mm[2]), self.now_us * 1e-6)
+        self.drive.run(program)
+        return program
+
+    def unload(self, force_n: float, speed_mm_s: float) -> Unload:
+        """Begin to rise until the press force over the air before the press is ``force_n``."""
+        program = Unload(force_n, self._tare_n, speed_mm_s, float(self.drive.command_mm[2]))
+        self.drive.run(program)
+        return program
+
+    def hear(self, t_s: FloatArray, force_n: FloatArray) -> None:
+        """Tell the arm what the wrist sensor delivered (Fz, untared) in the last cycle."""
+        self._heard = (t_s, force_n)
+        if len(force_n) and np.isfinite(force_n).all():
+            self._recent_n = [*self._recent_n, float(np.mean(force_n))][-_TARE_CYCLES:]
+
+    # -- time -------------------------------------------------------------------------------------
+
+    def step(self) -> Sensed:
+        """Advance by one cycle and return what the sensors saw."""
+        start_us, end_us = self.now_us, self.now_us + self.cycle_us
+        start_s, dt_s = start_us * 1e-6, self.cycle_us * 1e-6
+        before = self._load(self._values)
+        field_before = self._field_px
+        command = self.drive.step(
+            Cycle(start_s, end_us * 1e-6, *self._heard),
+            stalled=self._script.active("arm", "stall", start_s),
+        )
+        if not self._script.active("gripper", "stall", start_s):
+            self._grasp(dt_s, command)
+        holding = self._holding
+        self._values = self._rest if holding is None else holding.solve(command, dt_s)
+        self._watch_dragging(command)
+        self._field_px = self._field(self._values)
+        self.now_us = end_us
+        strain = Strain(before, self._load(self._values), self._sensor_offset())
+        t_s, wrench = self._wrist.samples(start_us, end_us, strain)
+        shots = {
+            finger: self._cameras[finger].shots(
+                start_us, end_us, Sight(field_before[i], self._field_px[i], self._bias_px(i))
+            )
+            for i, finger in enumerate(FINGERS)
+        }
+        return Sensed(end_us, t_s, wrench, shots, self._measured_mm(command))
+
+    # -- truth ------------------------------------------------------------------------------------
+
+    def truth(self, *, animate: bool = False) -> Truth:
+        """Return how things are; the fall is computed only if asked for, once."""
+        if self._final is not None:
+            return self._with_fall(self._final) if animate else self._final
+        offset, yaw = self._placed()
+        return Truth(
+            offset_mm=offset,
+            yaw_rad=yaw,
+            margin_mm=scoring.margin_mm(self.scene, offset, yaw),
+            stands=False if self.knocked_over else None,
+            fall=None,
+            slip_mm=0.0 if self._holding is None else self._holding.slip_mm,
+            knocked_over=self.knocked_over,
+        )
+
+    @property
+    def holding(self) -> Holding | None:
+        """The gripping in progress, None while the jaws hold nothing."""
+        return self._holding
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _placed(self) -> tuple[tuple[float, float], float]:
+        if self._holding is not None:
+            return self._holding.offset_mm(self.drive.command_mm), self._holding.gripping.yaw_rad
+        if self._put_down is not None:
+            return self._put_down
+        return self.scene.start_mm, 0.0
+
+    def _grasp(self, dt_s: float, command: FloatArray) -> None:
+        change = self.jaws.step(dt_s)
+        if change.taken:
+            self._holding = Holding(self.scene, self._grips, self.jaws.force_n)
+            self._grips += 1
+        elif change.let_go and self._holding is not None:
+            self._release(self._holding, command)
+
+    def _release(self, holding: Holding, command: FloatArray) -> None:
+        offset, yaw = holding.offset_mm(command), holding.gripping.yaw_rad
+        kick = scoring.release_kick_mm(self.scene, self._grips)
+        margin = scoring.margin_mm(self.scene, offset, yaw, kick)
+        dropped = scoring.drops(holding.gap_mm(command))
+        stands = margin > 0.0 and not dropped and not self.knocked_over
+        self._put_down = (offset, yaw)
+        self._final = Truth(offset, yaw, margin, stands, None, holding.slip_mm, self.knocked_over)
+        self._holding = None
+        # A piece that was put down is not taken again: a trial ends with its release.
+        self.jaws.piece_present = False
+
+    def _with_fall(self, final: Truth) -> Truth:
+        if final.stands or final.fall is not None:
+            return final
+        fall: Fall | None = scoring.animated_fall(self.scene, final.offset_mm, final.yaw_rad)
+        self._final = Truth(
+            final.offset_mm,
+            final.yaw_rad,
+            final.margin_mm,
+            final.stands,
+            fall,
+            final.slip_mm,
+            final.knocked_over,
+        )
+        return self._final
+
+    def _watch_dragging(self, command: FloatArray) -> None:
+        holding = self._holding
+        if holding is None or self.scene.bottoms.bodies[-1].fixed:
+            return
+        if holding.press_n > DRAG_N and holding.dragged_mm(command) > DRAG_MM:
+            self.knocked_over = True
+
+    def _load(self, values: FloatArray) -> FloatArray:
+        """Return (6,) at ``G``: contact, gripper and piece, N and N·mm."""
+        load = values[:6] + self._wrist.payload()
+        if self._holding is not None:
+            load = load + self._holding.weight.wrench_g()
+        return load
+
+    def _field(self, values: FloatArray) -> FloatArray:
+        """Return (2, 63, 2) marker displacements in px, gain included."""
+        holding = self._holding
+        if holding is None:
+            asked_n = max(self.jaws.asked_n, self.jaws.force_n, 1e-3)
+            pads = np.full(2, self.jaws.force_n)
+            return self._gel.displacement_px(np.zeros((2, 3)), pads, np.array(asked_n))
+        field = self._gel.displacement_px(
+            values[6:12].reshape(2, 3), values[12:14], holding.conditions.grip_force_n[0]
+        )
+        return np.asarray(field * holding.conditions.gain[0][:, None, None])
+
+    def _bias_px(self, finger: int) -> FloatArray:
+        """Return the creep since the reference: that of the present probe, none in between."""
+        holding = self._holding
+        if holding is None or not holding.sensed:
+            return np.zeros(2)
+        return np.asarray(holding.conditions.bias_px[0, finger])
+
+    def _sensor_offset(self) -> FloatArray:
+        holding = self._holding
+        if holding is None or not holding.sensed:
+            return np.zeros(6)
+        return np.asarray(holding.conditions.ft_offset[0])
+
+    def _measured_mm(self, command: FloatArray) -> FloatArray:
+        """Return where ``G`` really is: the compliant arm gives way to the contact force."""
+        if self._holding is None:
+            return command
+        return np.asarray(command + self._values[:3] / self._holding.conditions.robot_n_mm[0])
+
+
+def _cameras(
+    scene: Scene, seeds: np.ndarray[tuple[int, ...], np.dtype[np.uint32]]
+) -> dict[Finger, FingerCamera]:
+    look = load_look()
+    looks = {"left": look, "right": mirrored(look)}
+    return {
+        finger: FingerCamera(scene.settings.tactile, FingerOptics(looks[finger], seed), seed)
+        for finger, seed in zip(FINGERS, seeds, strict=False)
+    }

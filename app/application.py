@@ -338,7 +338,7 @@ class TouchdownApp(QObject):
 
 
 def _stay() -> None:
-    """The operator keeps the run going."""
+    """Do nothing: the run goes on."""
 
 
 def _clock() -> str:

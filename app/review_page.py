@@ -9,7 +9,7 @@ from PySide6.QtWidgets import QHBoxLayout, QListWidget, QPushButton, QVBoxLayout
 from widgets.belief_legend import BeliefLegend
 from widgets.belief_view import BeliefView
 from widgets.decision_panel import DecisionPanel
-from widgets.panel import Panel, label
+from widgets.panel import Panel, label, rule
 from widgets.probe_strip import ProbeStrip
 from widgets.score_panel import ScorePanel
 from widgets.theme import Theme
@@ -47,11 +47,12 @@ class ReviewPage(QWidget):
         left.addWidget(trials, 2)
         self.belief_panel = Panel("Belief map", self.belief)
         self.belief_panel.column.addWidget(self.legend)
+        self.belief_panel.column.addWidget(rule())
+        self.belief_panel.column.addWidget(self.strip)
         middle = QVBoxLayout()
         middle.setSpacing(8)
         middle.addWidget(self.decision)
         middle.addWidget(self.belief_panel, 1)
-        middle.addWidget(Panel("Probes of this trial", self.strip))
         right = QVBoxLayout()
         right.setSpacing(8)
         right.addWidget(self.score)

@@ -254,7 +254,7 @@ def _belief_detail(scene: BeliefScene, look: ProbeLook) -> str:
     largest = float(scene.belief.probability.max())
     text = f"probe {look.probe}, largest p {largest:.2f}"
     if look.stability is not None:
-        text += f", verdict from the {look.stability.source}"
+        text += ", verdict from the patch" if look.stability.source == "patch" else ""
     if look.latency_ms is not None:
         text += f", {look.latency_ms:.1f} ms"
     return text

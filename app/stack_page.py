@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QToolButton, QVBoxLayout, QWidget
 
 from backend.core.flow import FINGERS, Finger
@@ -13,7 +14,7 @@ from widgets.belief_view import BeliefView
 from widgets.colour_maps import MAPS
 from widgets.decision_panel import DecisionPanel
 from widgets.force_traces import TracePlot
-from widgets.panel import Panel
+from widgets.panel import Panel, rule
 from widgets.probe_strip import ProbeStrip
 from widgets.run_panel import RunPanel
 from widgets.score_panel import ScorePanel
@@ -53,15 +54,17 @@ class StackPage(QWidget):
         self.score = ScorePanel(theme)
         self.side = SideView(theme)
         self.belief_panel = self._belief_panel()
-        self.strip_panel = Panel("Probes of this trial", self.strip)
         self.side_panel = Panel("Bench from the side", self.side)
         self._arrange()
 
     def _belief_panel(self) -> Panel:
         panel = Panel("Belief map", self.belief)
         panel.column.addWidget(self.legend)
+        panel.column.addWidget(rule())
+        panel.column.addWidget(self.strip)
         chooser = QComboBox()
         chooser.addItems(list(MAPS))
+        chooser.setProperty("role", "compact")
         chooser.setAccessibleName("Colour map")
         chooser.setToolTip("Colour map of the belief")
         chooser.currentIndexChanged.connect(self._choose_map)
@@ -91,14 +94,20 @@ class StackPage(QWidget):
         self.force.fit()
         self.moment.fit()
 
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Leave out the side view where the controls need its room."""
+        super().resizeEvent(event)
+        controls = self.run.sizeHint().height() + self.score.sizeHint().height()
+        self.side_panel.setVisible(self.height() > controls + 150)
+
     def _arrange(self) -> None:
         fingers = QHBoxLayout()
         fingers.setSpacing(8)
         for panel in self.tactile_panels.values():
             fingers.addWidget(panel, 1)
         self.traces_panel = self._traces_panel()
-        feel = _column((fingers, 9), (self.traces_panel, 11))
-        believe = _column((self.decision, 0), (self.belief_panel, 1), (self.strip_panel, 0))
+        feel = _column((fingers, 0), (self.traces_panel, 1))
+        believe = _column((self.decision, 0), (self.belief_panel, 1))
         decide = _column((self.run, 0), (self.score, 0), (self.side_panel, 1))
         self._right = QWidget()
         self._right.setLayout(decide)

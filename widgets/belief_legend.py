@@ -10,9 +10,9 @@ from widgets.theme import Theme, ui_font
 
 ENTRIES = (
     ("plus", "centre of mass"),
-    ("line", "support hull, p > 0.9"),
-    ("dots", "face of the piece"),
-    ("arrow", "planned step"),
+    ("line", "hull p > 0.9"),
+    ("dots", "face"),
+    ("arrow", "step"),
     ("ring", "target"),
 )
 TRUTH = ("dashes", "true overlap")
@@ -36,7 +36,7 @@ class BeliefLegend(QWidget):
 
     def sizeHint(self) -> QSize:
         """Return two lines of text."""
-        return QSize(300, 2 * self._line())
+        return QSize(300, self._line())
 
     def minimumSizeHint(self) -> QSize:
         """Return the same as the size hint."""
@@ -54,8 +54,8 @@ class BeliefLegend(QWidget):
         metrics = painter.fontMetrics()
         x, y, line = 0.0, 0.0, self._line()
         for kind, text in entries:
-            width = 22 + metrics.horizontalAdvance(text) + 16
-            if x > 0 and x + width - 16 > self.width():
+            width = 22 + metrics.horizontalAdvance(text) + 12
+            if x > 0 and x + width - 12 > self.width():
                 x, y = 0.0, y + line
             painter.setPen(QPen(self._theme.tokens.colour("text"), 1.6))
             _mark(painter, kind, QPointF(x + 9, y + line / 2))

@@ -78,13 +78,13 @@ def _path(painter: QPainter, area: PlotArea, scene: BeliefScene, theme: Theme) -
     points = [QPointF(area.x(x), area.y(y)) for x, y in scene.path]
     on_black(painter, 1.0, Qt.PenStyle.SolidLine, lambda: painter.drawPolyline(QPolygonF(points)))
     painter.setFont(ui_font(theme.scale, 0.8, 600))
-    for number, point in enumerate(points, start=1):
+    # The newest probe carries the plus of the centre of mass instead of a number.
+    for number, point in enumerate(points[:-1], start=1):
         ring = QRectF(point.x() - 8, point.y() - 8, 16, 16)
-        newest = number == len(points)
-        painter.setPen(QPen(WHITE if not newest else BLACK, 1.5))
-        painter.setBrush(BLACK if not newest else WHITE)
+        painter.setPen(QPen(WHITE, 1.5))
+        painter.setBrush(BLACK)
         painter.drawEllipse(ring)
-        painter.setPen(BLACK if newest else WHITE)
+        painter.setPen(WHITE)
         painter.drawText(ring, int(Qt.AlignmentFlag.AlignCenter), str(number))
     painter.setBrush(Qt.BrushStyle.NoBrush)
 

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from backend.core.flow import BeliefMap, FloatArray, Stability
+
+LEAST_HALF_MM = 14.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,11 +30,15 @@ class BeliefScene:
     truth: FloatArray | None = None
     delta: float = 0.9
 
-    def half_extent_mm(self) -> float:
-        """Half width of the square worth showing: covered cells and the path, at least 14 mm."""
-        reach = [14.0]
-        if self.belief is not None and self.belief.covered.any():
-            centres = self.belief.cell_centres_mm()[self.belief.covered]
-            reach.append(float(abs(centres).max()) + 2.0)
-        reach += [max(abs(x), abs(y)) + 2.0 for x, y in self.path]
-        return max(reach)
+    def frame_mm(self) -> tuple[float, float, float]:
+        """Centre x, y and half width of the square worth showing: covered cells and the path."""
+        points = [np.array(self.path).reshape(-1, 2)]
+        if self.belief is not None:
+            points.append(self.belief.cell_centres_mm()[self.belief.covered])
+        shown = np.concatenate(points)
+        if len(shown) == 0:
+            return 0.0, 0.0, LEAST_HALF_MM
+        low, high = shown.min(axis=0), shown.max(axis=0)
+        centre = (low + high) / 2
+        half = max(LEAST_HALF_MM, float((high - low).max()) / 2 + 2.0)
+        return float(centre[0]), float(centre[1]), half

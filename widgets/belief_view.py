@@ -60,8 +60,11 @@ class BeliefView(QWidget):
             self._drawn.fill(self._theme.tokens.colour("panel"))
             inner = QPainter(self._drawn)
             inner.setRenderHint(QPainter.RenderHint.Antialiasing)
-            self._draw(inner)
-            inner.end()
+            try:
+                self._draw(inner)
+            finally:
+                # Qt aborts the process if a picture dies while it is painted.
+                inner.end()
             self.renders += 1
         painter = QPainter(self)
         painter.drawPixmap(0, 0, self._drawn)
@@ -72,12 +75,12 @@ class BeliefView(QWidget):
             left = top = right = bottom = 1.0
         else:
             em = self.fontMetrics().height()
-            left, top, right, bottom = 2.8 * em, 0.5 * em, 4.2 * em, 2.6 * em
+            left, top, right, bottom = 2.2 * em, 0.4 * em, 3.4 * em, 1.5 * em
         side = max(min(self.width() - left - right, self.height() - top - bottom), 10.0)
         x = left + (self.width() - left - right - side) / 2
         y = top + (self.height() - top - bottom - side) / 2
-        half = self.scene.half_extent_mm()
-        return PlotArea(QRectF(x, y, side, side), -half, half, -half, half)
+        cx, cy, half = self.scene.frame_mm()
+        return PlotArea(QRectF(x, y, side, side), cx - half, cx + half, cy - half, cy + half)
 
     def _draw(self, painter: QPainter) -> None:
         area, t = self.area(), self._theme.tokens
@@ -118,22 +121,23 @@ class BeliefView(QWidget):
         height = painter.fontMetrics().height()
         step = nice_step(area.x1 - area.x0, 6)
         for value in ticks(area.x0, area.x1, 6):
-            x, y, text = area.x(value), area.y(value), tick_text(value, step)
+            x, text = area.x(value), tick_text(value, step)
             painter.setPen(QPen(t.colour("grid"), 1))
             painter.drawLine(QPointF(x, rect.top()), QPointF(x, rect.bottom()))
-            painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
             painter.setPen(t.colour("muted"))
             painter.drawText(QRectF(x - 30, rect.bottom() + 3, 60, height),
                              int(Qt.AlignmentFlag.AlignHCenter), text)  # fmt: skip
-            painter.drawText(QRectF(rect.left() - 46, y - height / 2, 40, height),
-                             int(Qt.AlignmentFlag.AlignRight), text)  # fmt: skip
-        painter.drawText(QRectF(rect.left(), rect.bottom() + height + 3, rect.width(), height + 2),
-                         int(Qt.AlignmentFlag.AlignHCenter), "x (mm)")  # fmt: skip
-        painter.save()
-        painter.translate(rect.left() - 2.8 * height, rect.center().y())
-        painter.rotate(-90)
-        painter.drawText(QRectF(-60, 0, 120, height), int(Qt.AlignmentFlag.AlignHCenter), "y (mm)")
-        painter.restore()
+        for value in ticks(area.y0, area.y1, 6):
+            y, text = area.y(value), tick_text(value, step)
+            painter.setPen(QPen(t.colour("grid"), 1))
+            painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
+            painter.setPen(t.colour("muted"))
+            box = QRectF(rect.left() - 46, y - height / 2, 40, height)
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), text)
+        corner = rect.adjusted(6, 4, -6, -4)
+        low, right = Qt.AlignmentFlag.AlignBottom, Qt.AlignmentFlag.AlignRight
+        painter.drawText(corner, int(low | right), "x (mm)")
+        painter.drawText(corner, int(Qt.AlignmentFlag.AlignLeft), "y (mm)")
 
     def _draw_colour_bar(self, painter: QPainter, area: PlotArea) -> None:
         t, rect = self._theme.tokens, area.rect

@@ -55,7 +55,7 @@ class DeviceChip(QWidget):
         """Return room for the usual figures."""
         self.setFont(ui_font(self._theme.scale, 0.86))
         metrics = self.fontMetrics()
-        return QSize(metrics.horizontalAdvance("1000 Hz 00 ms") + 26, 2 * metrics.height() + 8)
+        return QSize(metrics.horizontalAdvance("1000 Hz, 00 ms") + 30, 2 * metrics.height() + 8)
 
     def minimumSizeHint(self) -> QSize:
         """Return room for the name and the rate."""

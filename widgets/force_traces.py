@@ -130,7 +130,11 @@ class TracePlot(QWidget):
             self._ground = QPixmap(self.size() * ratio)
             self._ground.setDevicePixelRatio(ratio)
             self._ground_key = key
-            self._draw_background(QPainter(self._ground), area)
+            painter = QPainter(self._ground)
+            try:
+                self._draw_background(painter, area)
+            finally:
+                painter.end()
         return self._ground
 
     def _draw_background(self, painter: QPainter, area: PlotArea) -> None:
@@ -159,7 +163,6 @@ class TracePlot(QWidget):
         painter.setFont(ui_font(self._theme.scale, 0.85, 500))
         painter.drawText(QRectF(rect.left() + 6, rect.top() + 3, 200, height + 2), 0,
                          f"{self._name} ({self._unit})")  # fmt: skip
-        painter.end()
 
 
 def _next_limit(limit: float) -> float:

@@ -35,8 +35,8 @@ def draw_stale(painter: QPainter, rect: QRectF, theme: Theme, age_s: float) -> N
     painter.setFont(ui_font(theme.scale, 1.0, 600))
     text = f"STALE {age_s:.1f} s"
     metrics = painter.fontMetrics()
-    badge = QRectF(rect.left() + 8, rect.top() + 8, metrics.horizontalAdvance(text) + 16,
-                   metrics.height() + 6)  # fmt: skip
+    width = metrics.horizontalAdvance(text) + 16
+    badge = QRectF(rect.center().x() - width / 2, rect.top() + 8, width, metrics.height() + 6)
     painter.fillRect(badge, theme.tokens.colour("pill_yellow"))
     painter.setPen(theme.tokens.colour("on_light"))
     painter.drawText(badge, int(Qt.AlignmentFlag.AlignCenter), text)

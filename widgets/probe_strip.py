@@ -14,7 +14,7 @@ from widgets.overlay import draw_message
 from widgets.panel import label
 from widgets.theme import Theme
 
-SIDE_PX = 76
+SIDE_PX = 62
 
 
 class Thumbnail(QWidget):
@@ -94,7 +94,7 @@ class ProbeStrip(QWidget):
 
     def sizeHint(self) -> QSize:
         """Return room for one row and its scroll bar."""
-        return QSize(300, SIDE_PX + self.fontMetrics().height() + 24)
+        return QSize(300, SIDE_PX + self.fontMetrics().height() + 20)
 
     def minimumSizeHint(self) -> QSize:
         """Return a low width: the strip scrolls."""

@@ -6,7 +6,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from PySide6.QtCore import QSize
-from PySide6.QtWidgets import QComboBox, QFormLayout, QHBoxLayout, QPushButton, QSpinBox, QWidget
+from PySide6.QtWidgets import (
+    QComboBox,
+    QGridLayout,
+    QHBoxLayout,
+    QPushButton,
+    QSizePolicy,
+    QSpinBox,
+    QWidget,
+)
 
 from widgets.icons import icon
 from widgets.panel import Panel, label
@@ -62,6 +70,8 @@ class RunPanel(Panel):
         self._strategy, self._mode = QComboBox(), QComboBox()
         self._seed.setRange(0, 999_999)
         self._trials.setRange(1, 100)
+        for number in (self._seed, self._trials):
+            number.lineEdit().setTextMargins(6, 0, 0, 0)
         for key, text in STRATEGIES:
             self._strategy.addItem(text, key)
         for key, text in MODES:
@@ -98,23 +108,21 @@ class RunPanel(Panel):
         self.start.setAccessibleName("Start stacking")
 
     def _arrange(self) -> None:
-        form = QFormLayout()
+        form = QGridLayout()
         form.setHorizontalSpacing(12)
         form.setVerticalSpacing(6)
-        form.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
-        numbers = QHBoxLayout()
-        numbers.setSpacing(8)
-        numbers.addWidget(self._seed, 1)
-        trials = label("Trials")
-        trials.setBuddy(self._trials)
-        numbers.addWidget(trials)
-        numbers.addWidget(self._trials, 1)
-        for text, field in (("Piece", self._piece), ("Bottom", self._bottom),
-                            ("Below it", self._under)):  # fmt: skip
-            form.addRow(_buddy(text, field), field)
-        form.addRow(_buddy("Seed", self._seed), numbers)
-        form.addRow(_buddy("Strategy", self._strategy), self._strategy)
-        form.addRow(_buddy("Mode", self._mode), self._mode)
+        form.setColumnStretch(1, 1)
+        form.setColumnStretch(3, 1)
+        wide = (("Piece", self._piece), ("Bottom", self._bottom), ("Below it", self._under))
+        for row, (text, field) in enumerate(wide):
+            form.addWidget(_buddy(text, field), row, 0)
+            form.addWidget(field, row, 1, 1, 3)
+        for column, (text, number) in ((0, ("Seed", self._seed)), (2, ("Trials", self._trials))):
+            form.addWidget(_buddy(text, number), 3, column)
+            form.addWidget(number, 3, column + 1)
+        for row, (text, field) in ((4, ("Strategy", self._strategy)), (5, ("Mode", self._mode))):
+            form.addWidget(_buddy(text, field), row, 0)
+            form.addWidget(field, row, 1, 1, 3)
         buttons = QHBoxLayout()
         buttons.addWidget(self.pause, 1)
         buttons.addWidget(self.cancel, 1)
@@ -123,6 +131,7 @@ class RunPanel(Panel):
         self.column.addWidget(self.start)
         self.column.addLayout(buttons)
         for one in (self._piece, self._bottom, self._under, self._strategy, self._mode):
+            one.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
             one.setMinimumContentsLength(8)
             one.setSizeAdjustPolicy(
                 QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon

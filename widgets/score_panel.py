@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
 from PySide6.QtGui import QPainter, QPaintEvent, QPen
-from PySide6.QtWidgets import QHBoxLayout, QSizePolicy, QWidget
+from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from backend.core.flow import Outcome
 from widgets.panel import Panel, label
@@ -97,26 +97,25 @@ class ScorePanel(Panel):
         self._rate = label("", "small")
         self._marks = OutcomeMarks(theme)
         self._last = label("", "small", wrap=True)
-        row = QHBoxLayout()
-        row.addWidget(self._count)
-        row.addStretch(1)
-        row.addWidget(self._rate, 0, Qt.AlignmentFlag.AlignBottom)
-        self.column.addLayout(row)
+        self.column.addWidget(self._count)
         self.column.addWidget(self._marks)
+        self.column.addWidget(self._rate)
         self.column.addWidget(self._last)
+        self.column.addStretch(1)
         self.show_score(Score((), 0, None))
 
     def show_score(self, score: Score) -> None:
         """Show the score."""
         placed = sum(o is Outcome.PLACED for o in score.outcomes)
-        self._count.setText(f"{placed} of {len(score.outcomes)} placed")
+        count = f"{placed} of {len(score.outcomes)} placed" if score.outcomes else "No trial yet"
+        self._count.setText(count)
         self.detail.setText(f"{len(score.outcomes)} of {score.trials} done" if score.trials else "")
-        self._rate.setText("")
+        rate = ""
         if score.interval is not None:
-            low, high = score.interval
-            self._rate.setText(
-                f"{100 * placed / len(score.outcomes):.0f} %  (95 %: {100 * low:.0f} to "
-                f"{100 * high:.0f})"
-            )
+            low, high = (100 * bound for bound in score.interval)
+            share = 100 * placed / len(score.outcomes)
+            rate = f"{share:.0f} % success, 95 % interval {low:.0f} to {high:.0f} %"
+        self._rate.setText(rate)
+        self._rate.setVisible(bool(rate))
         self._marks.show_outcomes(score.outcomes, score.trials)
-        self._last.setText(score.last or "No trial finished in this run.")
+        self._last.setText(score.last or "Every trial ends with one mark.")

@@ -79,11 +79,11 @@ class SideView(QWidget):
         painter.fillRect(
             QRectF(0, table, self.width(), self.height() - table), t.colour("hairline")
         )
-        grey, blue = t.colour("border"), t.colour("selection")
+        grey, blue = t.colour("border"), t.colour("axis_x")
         for body in self.scene.bottoms:
             _draw_body(painter, place, body, grey, t.colour("text"))
         if self.scene.piece is not None:
-            fill = blend(t.colour("bg"), blue, 0.85)
+            fill = blend(t.colour("bg"), blue, 0.7)
             _draw_body(painter, place, self.scene.piece, fill, t.colour("text"))
             self._draw_jaws(painter, place)
         painter.setPen(t.colour("muted"))

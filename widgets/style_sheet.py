@@ -76,6 +76,10 @@ QSpinBox::up-button, QSpinBox::down-button {{ border: none; width: 18px; backgro
 QSpinBox::up-arrow {{ image: url(icons:up-{name}.svg); width: 9px; height: 9px; }}
 QSpinBox::down-arrow {{ image: url(icons:down-{name}.svg); width: 9px; height: 9px; }}
 
+QAbstractSpinBox QLineEdit {{ border: none; padding: 0; background: transparent;
+    min-height: 0; }}
+QComboBox[role="compact"] {{ padding: 0 6px; min-height: 18px; font-size: {small}pt; }}
+
 QMenu {{ background: {raised}; color: {text}; border: 1px solid {border}; padding: 4px; }}
 QMenu::item {{ padding: 5px 24px 5px 12px; border-radius: 4px; }}
 QMenu::item:selected {{ background: {selection}; color: {selection_text}; }}

@@ -34,14 +34,14 @@ def _finger_slip_mm(recording: Recording, finger: Finger, onset_s: float, end_s:
     fields = [
         field
         for field in recording.fields
-        if field.finger == finger
-        and onset_s <= field.t_s <= end_s
-        and np.isfinite(field.displacement_px).all()
+        if field.finger == finger and onset_s <= field.t_s <= end_s
     ]
     if len(fields) < LEAST_FRAMES or not np.isfinite(recording.pose_mm).all():
         return math.nan
-    travel_mm = _travel_mm(recording, onset_s, np.array([field.t_s for field in fields]))
-    shear_px = np.array([field.displacement_px[:, 1].mean() for field in fields])
+    shear_px = np.array([field.displacement_px[:, 1] for field in fields]).mean(axis=1)
+    whole = np.isfinite(shear_px)
+    shear_px = shear_px[whole]
+    travel_mm = _travel_mm(recording, onset_s, np.array([field.t_s for field in fields])[whole])
     deepest_mm = float(travel_mm.max()) if len(travel_mm) else 0.0
     if not deepest_mm >= LEAST_TRAVEL_MM:
         return math.nan

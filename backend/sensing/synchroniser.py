@@ -138,43 +138,46 @@ def _on_ticks(
 ) -> FingerTicks:
     own = [field for field in fields if field.finger == finger]
     dropped = _missing_numbers(own, tick_s)
-    # A field with NaN is not an observation: it counts as a frame that never came.
-    own = [field for field in own if np.isfinite(field.displacement_px).all()]
-    ticks = len(tick_s)
-    values = np.full((ticks, MARKERS, 2), np.nan)
-    inferred = np.zeros((ticks, MARKERS), dtype=np.bool_)
-    lost = np.zeros((ticks, MARKERS), dtype=np.bool_)
     frame_s = np.array([field.t_s for field in own])
-    after = np.searchsorted(frame_s, tick_s - ROUNDING_S, side="left")
-    for tick, right in enumerate(after):
-        pair = _around(frame_s, tick_s[tick], int(right), limits.longest_hole_s)
-        if pair is None:
-            continue
-        before, part = own[pair[0]], pair[2]
-        later = own[pair[1]]
-        values[tick] = (1.0 - part) * before.displacement_px + part * later.displacement_px
-        state = np.maximum(before.state, later.state)
-        inferred[tick] = state >= MarkerState.INFERRED
-        lost[tick] = state == MarkerState.LOST
+    moved = np.array([field.displacement_px for field in own]).reshape(-1, MARKERS, 2)
+    state = np.array([field.state for field in own], dtype=np.uint8).reshape(-1, MARKERS)
+    # A field with NaN is not an observation: it counts as a frame that never came.
+    whole = np.isfinite(moved).all(axis=(1, 2))
+    frame_s, moved, state = frame_s[whole], moved[whole], state[whole]
+    before, after, part, measured = _around(frame_s, tick_s, limits.longest_hole_s)
+    values = np.full((len(tick_s), MARKERS, 2), np.nan)
+    worst = np.zeros((len(tick_s), MARKERS), dtype=np.uint8)
+    share = part[measured, None, None]
+    values[measured] = (1.0 - share) * moved[before[measured]] + share * moved[after[measured]]
+    worst[measured] = np.maximum(state[before[measured]], state[after[measured]])
     skew_s = _nearest(frame_s, tick_s)
-    near = (skew_s <= limits.nearest_frame_s + ROUNDING_S) & np.isfinite(values[:, 0, 0])
+    near = (skew_s <= limits.nearest_frame_s + ROUNDING_S) & measured
+    inferred, lost = worst >= int(MarkerState.INFERRED), worst == int(MarkerState.LOST)
     return FingerTicks(values, near, inferred, lost, skew_s, _hole(frame_s, tick_s), dropped)
 
 
 def _around(
-    frame_s: FloatArray, tick_s: float, after: int, longest_hole_s: float
-) -> tuple[int, int, float] | None:
-    """Return the frames before and after ``tick_s`` and the part of the way between them."""
-    if after >= len(frame_s):
-        return None
-    if abs(frame_s[after] - tick_s) <= ROUNDING_S:
-        return after, after, 0.0
-    if after == 0:
-        return None
-    gap_s = float(frame_s[after] - frame_s[after - 1])
-    if not gap_s <= longest_hole_s + ROUNDING_S:
-        return None
-    return after - 1, after, float(tick_s - frame_s[after - 1]) / gap_s
+    frame_s: FloatArray, tick_s: FloatArray, longest_hole_s: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray, NDArray[np.bool_]]:
+    """Return per tick the frames before and after it, the part of the way, and whether measured.
+
+    A tick without a frame on both sides, or between frames farther apart than ``longest_hole_s``,
+    is not measured; a frame exactly on the tick needs no other.
+    """
+    if not len(frame_s):
+        nothing = np.zeros(len(tick_s), dtype=np.intp)
+        return nothing, nothing, np.zeros(len(tick_s)), np.zeros(len(tick_s), dtype=np.bool_)
+    last = len(frame_s) - 1
+    found = np.searchsorted(frame_s, tick_s - ROUNDING_S, side="left")
+    after = np.minimum(found, last)
+    exact = np.abs(frame_s[after] - tick_s) <= ROUNDING_S
+    before = np.where(exact, after, np.maximum(found - 1, 0))
+    gap_s = frame_s[after] - frame_s[before]
+    way_s = tick_s - frame_s[before]
+    part = np.where(exact | (gap_s <= 0), 0.0, way_s / np.where(gap_s > 0, gap_s, 1.0))
+    both_sides = (found > 0) & (found <= last)
+    measured = exact | (both_sides & (gap_s <= longest_hole_s + ROUNDING_S))
+    return before, after, np.asarray(part, dtype=np.float64), measured
 
 
 def _nearest(frame_s: FloatArray, tick_s: FloatArray) -> FloatArray:

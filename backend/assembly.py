@@ -1,0 +1,202 @@
+"""The one place that builds things: from names and settings to a session on the simulated bench."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+from backend.config.load import load
+from backend.config.method import StackSettings
+from backend.config.simulation import (
+    PRESETS,
+    SimulationSettings,
+)
+from backend.core.faults import InputError
+from backend.devices.sim.bench import BenchStreams, SimulatedBench
+from backend.objects.catalogue import Catalogue, Piece, load_catalogue
+from backend.objects.starts import draw_start
+from backend.objects.tower import Tower, judge
+from backend.placement.estimator import Estimator
+from backend.runs.bench import ReleaseVerdict
+from backend.runs.requests import StackRequest
+from backend.runs.stage import Stage
+from backend.sensing.live import RawStreams
+from backend.sensing.tare import gripper_payload
+from backend.session import Keep, Session
+from backend.simulation.disturbances import parse_script
+from backend.simulation.scene import Scene
+from backend.simulation.scoring import margin_mm
+
+TOWER_LEAN_MM = 2.0
+"""Each further bottom of a tower stands off the one below by up to this, in a drawn direction."""
+DIRECTIONS = 32
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedBenchChoice:
+    """Which simulated bench: a settings file, else a named preset; faults; extra pieces.
+
+    ``disturbances`` are texts such as ``tactile_left:stop@3.0``.
+    """
+
+    file: Path | None = None
+    preset: str | None = None
+    disturbances: tuple[str, ...] = ()
+    pieces: Path | None = None
+
+    def settings(self) -> SimulationSettings:
+        """Read or make the settings; raises ``InputError``."""
+        if self.file is not None:
+            if self.preset is not None:
+                raise InputError(
+                    "A settings file and a preset were both given.", "--preset", "Give one of them."
+                )
+            return load(SimulationSettings, self.file)
+        name = self.preset or "mixed"
+        if name not in PRESETS:
+            known = ", ".join(PRESETS)
+            raise InputError(f"There is no preset '{name}'.", "--preset", f"Choose one of {known}.")
+        return SimulationSettings.model_validate({"preset": name})
+
+
+@dataclass
+class SimulatedScoring:
+    """The truth of one scene, handed to scoring and display, never to the method."""
+
+    bench: SimulatedBench
+    longest_step_mm: float
+    animate: bool
+    _verdict: ReleaseVerdict | None = field(default=None, init=False)
+
+    def start_mm(self) -> tuple[float, float]:
+        """Return the true offset at the start."""
+        return self.bench.scene.start_mm
+
+    def least_probes(self) -> int:
+        """Return 1 + the least number of longest steps from the start to a stable offset.
+
+        The distance to the stable region is searched along ``DIRECTIONS`` rays.
+        """
+        scene = self.bench.scene
+        x, y = scene.start_mm
+        steps = 0
+        while steps < 20:
+            radius = steps * self.longest_step_mm
+            angles = 2 * np.pi * np.arange(DIRECTIONS if steps else 1) / DIRECTIONS
+            for angle in angles:
+                for part in (1.0, 0.75, 0.5, 0.25) if steps else (1.0,):
+                    reach = radius - (1.0 - part) * self.longest_step_mm
+                    at = (x + reach * float(np.cos(angle)), y + reach * float(np.sin(angle)))
+                    if margin_mm(scene, at, 0.0) > 0.0:
+                        return 1 + steps
+            steps += 1
+        return 1 + steps
+
+    def verdict(self) -> ReleaseVerdict:
+        """Judge the scene as it is; the animation is made once, after a fall."""
+        truth = self.bench.truth()
+        if truth.stands is False and self.animate and self._verdict is None:
+            truth = self.bench.truth(animate=True)
+        verdict = ReleaseVerdict(
+            bool(truth.stands), truth.knocked_over, truth.margin_mm, truth.fall
+        )
+        if truth.stands is not None:
+            self._verdict = self._verdict or verdict
+            return self._verdict
+        return verdict
+
+
+def shipped_model(piece: str) -> Path:
+    """Return the path of the default model of ``piece``; raises ``InputError`` if none ships."""
+    path = Path(str(files("resources"))) / "models" / f"{piece}.safetensors"
+    if not path.is_file():
+        raise InputError(
+            f"No model ships for piece '{piece}'.",
+            str(path),
+            "Train one with `touchdown train` and name it with --model.",
+        )
+    return path
+
+
+def make_tower(catalogue: Catalogue, names: tuple[str, ...], rng: np.random.Generator) -> Tower:
+    """Stand the named bottoms on each other; those above the first lean out at random.
+
+    Raises ``InputError`` for an unknown bottom. The tower stands by itself.
+    """
+    if not names or not all(names):
+        raise InputError("No bottom was named.", "--bottom", "Name one, such as short.")
+    tower = Tower((catalogue.bottom(names[0]).body(),))
+    for name in names[1:]:
+        tower = _with_leaning(tower, catalogue.bottom(name), rng)
+    return tower
+
+
+def _with_leaning(tower: Tower, piece: Piece, rng: np.random.Generator) -> Tower:
+    below = tower.bodies[-1].at_mm
+    for _ in range(100):
+        reach, angle = TOWER_LEAN_MM * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
+        at = (below[0] + float(reach * np.cos(angle)), below[1] + float(reach * np.sin(angle)))
+        grown = tower.with_top(piece.body(at))
+        if judge(grown).stands:
+            return grown
+    raise InputError(f"'{piece.name}' does not stand there.", "--bottom", "Choose another tower.")
+
+
+def make_scene(
+    catalogue: Catalogue, request: StackRequest, seed: int, settings: SimulationSettings
+) -> Scene:
+    """Return the scene of one trial: everything about it follows from ``seed``."""
+    piece = catalogue.top(request.piece)
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 77])))
+    tower = make_tower(catalogue, request.bottoms, rng)
+    start = draw_start(rng, piece.body(), tower)
+    return Scene(piece=piece, bottoms=tower, start_mm=start, seed=seed, settings=settings)
+
+
+def simulated_session(
+    choice: SimulatedBenchChoice | None = None,
+    *,
+    keep: Keep | None = None,
+    method: StackSettings | None = None,
+    animate: bool = False,
+) -> Session:
+    """Return a session on the simulated bench.
+
+    >>> session = simulated_session(keep=Keep(None))
+    >>> session.hub.subscribe(print)                                     # doctest: +SKIP
+    >>> session.run(StackRequest(piece="pot", bottoms=("short",), seed=7))  # doctest: +SKIP
+
+    ``animate`` makes the fall of a piece available where MuJoCo is installed. Raises
+    ``InputError`` for bad settings.
+    """
+    choice = choice or SimulatedBenchChoice()
+    settings = choice.settings()
+    script = parse_script(choice.disturbances)
+    catalogue = load_catalogue(choice.pieces)
+    method = method or StackSettings()
+    models: dict[tuple[Path, str], Estimator] = {}
+
+    def make_stage(request: StackRequest, seed: int, raw: RawStreams) -> Stage:
+        scene = make_scene(catalogue, request, seed, settings)
+        path = Path(request.model) if request.model else shipped_model(request.piece)
+        if (path, request.piece) not in models:
+            models[path, request.piece] = Estimator.load(path, scene.piece)
+        bench = SimulatedBench(scene, script, BenchStreams(raw.frames, raw.samples, raw.poses))
+        return Stage(
+            clock=bench.clock,
+            devices=bench.devices,
+            arm=bench.arm,
+            gripper=bench.gripper,
+            piece=scene.piece,
+            bottom="+".join(request.bottoms),
+            advance=bench.advance,
+            scoring=SimulatedScoring(bench, method.policy.longest_step_mm, animate),
+            estimator=models[path, request.piece],
+            payload=gripper_payload(settings.wrist.payload_kg, settings.wrist.payload_com_mm),
+            describe={"model": str(path), "simulation": settings.model_dump(mode="json")},
+        )
+
+    return Session(make_stage, catalogue, settings=method, keep=keep or Keep(), simulated=True)

@@ -68,13 +68,17 @@ def stack_conditions(parts: list[Conditions]) -> Conditions:
     )
 
 
-def true_offset_mm(commanded_mm: FloatArray, conditions: Conditions) -> FloatArray:
+def true_offset_mm(
+    commanded_mm: FloatArray, conditions: Conditions, slip: FloatArray | None = None
+) -> FloatArray:
     """Return (B, 2) true displacement of the face in ``O`` for the ``commanded_mm`` (B, 2).
 
     The grasp offset moves the piece (not only the lever arm), the print offset moves the bottom,
-    the label error is the arm's own.
+    the label error is the arm's own. ``slip`` (B, 2, 3): what has slipped in the hand moves it too.
     """
     shift = conditions.label_error_mm - conditions.print_offset_mm
     moved = commanded_mm + shift
     moved[:, 0] -= conditions.grasp_offset_mm[:, 0]
+    if slip is not None:
+        moved[:, 0] += slip[:, :, 0].mean(axis=1)
     return np.asarray(moved, dtype=np.float64)

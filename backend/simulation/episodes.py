@@ -30,6 +30,8 @@ from backend.simulation.wrench import wrist_wrench
 
 ATTEMPTS = 20
 MIN_OVERLAP_MM2 = 6.0
+REGRASP_MM = 1.0
+"""An operator would grasp the piece anew when it has slipped this far."""
 SANITY = 1.3
 """A press force above this times series stiffness times depth is no equilibrium."""
 
@@ -215,7 +217,7 @@ class _Bench:
             plan.settings, plan.probe, plan.grip_height_mm, plan.width_mm, draws
         )
         commanded = np.stack([d.offset_mm for d in drawn])
-        true = true_offset_mm(commanded, conditions)
+        true = true_offset_mm(commanded, conditions, carried.slip)
         state = begin(
             plan.face_points_mm,
             plan.bottom_outline,
@@ -232,8 +234,8 @@ class _Bench:
             self.rule,
             self.cycle_s,
         )
-        after = Carried(pressed.state.slip, pressed.state.relaxed)
-        slipped = after.slip[:, :, :2] - carried.slip[:, :, :2]
+        slipped = pressed.state.slip[:, :, :2] - carried.slip[:, :, :2]
+        after = _regrasped(Carried(pressed.state.slip, pressed.state.relaxed))
         mounting = np.array(grips) // plan.grips_per_mounting
         batch = EpisodeBatch(
             observation=self._observe(pressed, drawn, conditions),
@@ -280,6 +282,12 @@ class _Bench:
         seen[:, :, :TACTILE_CHANNELS] = in_order
         seen[:, :, TACTILE_CHANNELS:] = at_wrist
         return seen
+
+
+def _regrasped(carried: Carried) -> Carried:
+    """Put a piece that has slipped too far back into the jig: the same grip without slip."""
+    slid = np.hypot(carried.slip[..., 0], carried.slip[..., 1]).max(axis=1) > REGRASP_MM
+    return carried.replaced(np.flatnonzero(slid), Carried.fresh(int(slid.sum())))
 
 
 def _mean_wrench(pressed: Pressed) -> FloatArray:

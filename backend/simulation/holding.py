@@ -53,12 +53,13 @@ class Holding:
         self.air = np.zeros(VALUES)
         self.air[12:] = self.gripping.grip_force_n
         self._values = self.air
-        self.weight = held_piece(
+        self.weight_g = held_piece(
             scene.piece.mass_g,
             (*scene.piece.com_xy_mm, scene.piece.com_height_mm),
             scene.grip_height_mm,
             self.gripping.grasp_offset_mm,
-        )
+        ).wrench_g()
+        """(6,) weight of the piece at ``G``, N and N·mm."""
         self.sensed = False
         """Whether the sensor errors of the present probe apply (they come after the tare)."""
 

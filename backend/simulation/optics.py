@@ -44,9 +44,10 @@ class FingerOptics:
         self._back = _background(look) + _grain(look, fixed)
         self._to_core = look.core.astype(np.float32)[:, None, None] - self._back
         contrast = 1.0 - np.abs(_CONTRAST_SPREAD * fixed.standard_normal(MARKERS))
-        self._contrast = contrast.astype(np.float32)
+        self._contrast = contrast.astype(np.float32)[:, None, None]
         shape = (3, _BANK_FACTOR * HEIGHT_PX, _BANK_FACTOR * WIDTH_PX)
         self._bank = fixed.standard_normal(shape, dtype=np.float32) * np.float32(look.noise)
+        self._patches = np.empty((MARKERS, 2 * _REACH_PX, 2 * _REACH_PX), dtype=np.float32)
         self._mask = np.zeros((HEIGHT_PX, WIDTH_PX), dtype=np.float32)
         self._frame = np.empty((3, HEIGHT_PX, WIDTH_PX), dtype=np.float32)
 
@@ -63,8 +64,9 @@ class FingerOptics:
         if self._flicker:
             self._frame *= np.float32(1.0 + self._flicker * np.sin(1.3 * phase))
         self._add_noise()
-        np.clip(self._frame, 0.0, 255.0, out=self._frame)
-        planes = self._frame.astype(np.uint8)
+        # Rounds and saturates in one pass; levels are never far below zero, so their sign is safe.
+        flat = cv2.convertScaleAbs(self._frame.reshape(3 * HEIGHT_PX, WIDTH_PX))
+        planes = np.asarray(flat, dtype=np.uint8).reshape(3, HEIGHT_PX, WIDTH_PX)
         return np.asarray(cv2.merge([planes[0], planes[1], planes[2]]), dtype=np.uint8)
 
     def _draw_dots(self, centre_px: FloatArray, displacement_px: FloatArray) -> None:
@@ -76,17 +78,17 @@ class FingerOptics:
         dx, dy = first[:, :1] + steps, first[:, 1:] + steps
         inverse = _inverse_stretch(displacement_px, self.look.rest_px).astype(np.float32)
         a, b, c = _quadratic_form(inverse)
-        squared = (
-            (a * dx * dx)[:, None, :]
-            + (2.0 * b[..., None] * dy[:, :, None] * dx[:, None, :])
-            + (c * dy * dy)[:, :, None]
-        )
-        mask = np.sqrt(squared, out=squared)
-        mask -= np.float32(self.look.radius_px)
+        mask = self._patches
+        np.multiply((2.0 * b * dy)[:, :, None], dx[:, None, :], out=mask)
+        mask += (a * dx * dx)[:, None, :]
+        mask += (c * dy * dy)[:, :, None]
+        np.maximum(mask, 0.0, out=mask)
+        np.sqrt(mask, out=mask)
         mask *= np.float32(1.0 / self.look.edge_px)
+        mask -= np.float32(self.look.radius_px / self.look.edge_px)
         np.exp(mask, out=mask)
         mask += np.float32(1.0)
-        np.divide(self._contrast[:, None, None], mask, out=mask)
+        np.divide(self._contrast, mask, out=mask)
         for (u, v), patch in zip(corner.tolist(), mask, strict=True):
             u0, u1 = max(u, 0), min(u + size, WIDTH_PX)
             v0, v1 = max(v, 0), min(v + size, HEIGHT_PX)
@@ -109,7 +111,7 @@ class FingerOptics:
         there += cover * (self.look.smear.astype(np.float32)[:, None, None] - there)
 
     def _add_noise(self) -> None:
-        """Add a window of the bank per channel and the half level that rounding needs."""
+        """Add a random window of the bank per channel."""
         rows = self._draws.integers(0, (_BANK_FACTOR - 1) * HEIGHT_PX, 3)
         columns = self._draws.integers(0, (_BANK_FACTOR - 1) * WIDTH_PX, 3)
         for channel in range(3):
@@ -117,7 +119,6 @@ class FingerOptics:
             self._frame[channel] += self._bank[
                 channel, row : row + HEIGHT_PX, column : column + WIDTH_PX
             ]
-        self._frame += np.float32(0.5)
 
 
 def _background(look: GelLook) -> Float32:

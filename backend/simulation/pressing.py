@@ -4,7 +4,7 @@ The same law as on the stepped bench: the command falls at the approach speed un
 acted on at the next cycle boundary, then to the depth of the ramp counted from the back-dated
 onset, never up. During the descent the time steps are those of the bench; afterwards they end at
 the ticks (and where the command starts to move again): the press is quasi-static and monotone.
-Times are relative to the instant at which the command reaches the height of first touch.
+Times count from an instant less than one cycle before the true first touch.
 """
 
 from __future__ import annotations
@@ -17,11 +17,14 @@ from numpy.typing import NDArray
 from backend.config.method import SAMPLES_PER_PROBE, TICK_S, ProbeSettings
 from backend.core.flow import FloatArray
 from backend.core.onset import OnsetRule, back_date, detect, over_baseline
+from backend.simulation.contact import surface_motion
 from backend.simulation.mechanics import ContactState, advance
 from backend.simulation.timeline import Timeline, packed
 
 AIR_MARGIN = 20
 """Samples in air beyond what the running baseline needs."""
+AIR_MM, AIR_S = 3.0, 1.5
+"""Height and time in air before the descent (where a slipped gel settles)."""
 FIRST_BLOCK, NEXT_BLOCK, LONGEST = 15, 5, 80
 """Cycles of descent solved before looking for contact, between looks, and at most."""
 
@@ -30,9 +33,7 @@ FIRST_BLOCK, NEXT_BLOCK, LONGEST = 15, 5, 80
 class Pressed:
     """B presses. ``onset_s`` (B,) back-dated; ``detected`` (B,): contact was found in time.
 
-    ``touch_s`` (B,): when the faces really met; ``ticks_s`` (B, 20); ``air`` (B, 14): values before
-    the descent; ``state``: at the end of the hold.
-    """
+    XX"""
 
     timeline: Timeline
     onset_s: FloatArray
@@ -45,11 +46,17 @@ class Pressed:
 
 @dataclass(frozen=True, slots=True)
 class _Descent:
-    """States at the ends of the cycles, in order; ``values`` of the same instants."""
+    """States at the ends of the cycles, in order; ``values`` of the same instants.
+
+    ``touch_s`` (B,): first touch. ``lead_mm`` (B,): commanded depth at time 0: a piece that has
+    slipped upwards in the hand touches later.
+    """
 
     states: list[ContactState]
     values: list[FloatArray]
     t_s: list[FloatArray]
+    touch_s: FloatArray
+    lead_mm: FloatArray
 
 
 def air_samples(rule: OnsetRule) -> int:
@@ -72,12 +79,11 @@ def press(
 ) -> Pressed:
     """Press B probes.
 
-    ``phase_s`` (B,) in [0, cycle): how long before first touch the last cycle boundary lies.
+    ``phase_s`` (B,) in [0, cycle): where the cycle boundaries lie relative to the contact.
     ``noise_n`` (B, ``noise_samples``): errors of the press force on the sample grid.
     """
     speed = probe.approach_mm_s
-    descent = _in_air(state, phase_s)
-    slip_z = state.slip[:, :, 1].mean(axis=1)
+    descent = _in_air(state, phase_s, cycle_s, speed)
     end = FIRST_BLOCK
     while True:
         _descend(descent, end, cycle_s, speed)
@@ -98,11 +104,12 @@ def press(
     first = _first_stretch(descent, acted)
     ticks = onset[:, None] + TICK_S * np.arange(1, SAMPLES_PER_PROBE + 1)
     chosen = _state_at(descent.states, acted)
-    later, chosen = _ramp(chosen, first.t_s[:, -1], onset, ticks, probe)
+    command = _Ramp(probe, onset, first.t_s[:, -1], descent.lead_mm)
+    later, chosen = _follow(chosen, command, ticks)
     return Pressed(
         timeline=first.followed_by(later),
         onset_s=onset,
-        touch_s=np.maximum(slip_z, 0.0) / speed,
+        touch_s=descent.touch_s,
         ticks_s=ticks,
         detected=detected,
         air=descent.values[0],
@@ -110,11 +117,19 @@ def press(
     )
 
 
-def _in_air(state: ContactState, phase_s: FloatArray) -> _Descent:
+def _in_air(
+    state: ContactState, phase_s: FloatArray, cycle_s: float, speed_mm_s: float
+) -> _Descent:
     command = np.zeros((len(phase_s), 3))
-    command[:, 2] = 3.0
-    settled, solved = advance(state, command, 1.5)
-    return _Descent([settled], [packed(solved)], [-phase_s])
+    command[:, 2] = AIR_MM
+    settled, solved = advance(state, command, AIR_S)
+    _, _, u_z = surface_motion(state.cells, settled.q)
+    gap = np.where(state.cells.normal > 0.0, u_z - state.cells.gap_mm, np.inf).min(axis=1)
+    touch_s = (np.where(np.isfinite(gap), gap, AIR_MM) - AIR_MM) / speed_mm_s
+    start_s = cycle_s * np.floor(touch_s / cycle_s)
+    return _Descent(
+        [settled], [packed(solved)], [-phase_s], touch_s - start_s, speed_mm_s * start_s
+    )
 
 
 def _descend(descent: _Descent, cycles: int, cycle_s: float, speed_mm_s: float) -> None:
@@ -122,7 +137,7 @@ def _descend(descent: _Descent, cycles: int, cycle_s: float, speed_mm_s: float) 
     while len(descent.states) <= cycles:
         t_s = descent.t_s[-1] + cycle_s
         command = np.zeros((len(t_s), 3))
-        command[:, 2] = -speed_mm_s * t_s
+        command[:, 2] = -descent.lead_mm - speed_mm_s * t_s
         after, solved = advance(descent.states[-1], command, cycle_s)
         descent.states.append(after)
         descent.values.append(packed(solved))
@@ -166,26 +181,46 @@ def _state_at(states: list[ContactState], acted: NDArray[np.intp]) -> ContactSta
     )
 
 
-def _ramp(
-    state: ContactState,
-    start_s: FloatArray,
-    onset_s: FloatArray,
-    ticks_s: FloatArray,
-    probe: ProbeSettings,
-) -> tuple[Timeline, ContactState]:
-    """Follow the ramp from ``start_s``; steps end at the ticks and where motion starts again."""
-    speed, ramp_s = probe.approach_mm_s, probe.ramp_fraction * probe.duration_s
-    reached = speed * start_s
-    above = speed * onset_s
-    resume = onset_s + (reached - above) / (probe.depth_mm / ramp_s)
-    ends = np.concatenate([ticks_s, resume[:, None], onset_s[:, None] + ramp_s], axis=1)
-    ends = np.sort(np.maximum(ends, start_s[:, None]), axis=1)
-    times, values, now = [], [], start_s
+@dataclass(frozen=True, slots=True)
+class _Ramp:
+    """The command after detection: where motion stopped, then the ramp from the onset."""
+
+    probe: ProbeSettings
+    onset_s: FloatArray
+    start_s: FloatArray
+    lead_mm: FloatArray
+
+    @property
+    def length_s(self) -> float:
+        return self.probe.ramp_fraction * self.probe.duration_s
+
+    @property
+    def reached_mm(self) -> FloatArray:
+        """(B,) depth below the onset at which the descent was stopped."""
+        travelled = self.start_s - self.onset_s
+        return np.asarray(self.probe.approach_mm_s * travelled, dtype=np.float64)
+
+    def corners_s(self) -> FloatArray:
+        """Return (B, 2): when the command moves again, and when it has arrived."""
+        again = self.reached_mm * self.length_s / self.probe.depth_mm
+        return self.onset_s[:, None] + np.stack([again, np.full_like(again, self.length_s)], axis=1)
+
+    def command_mm(self, t_s: FloatArray) -> FloatArray:
+        """Return (B, 3) at the times ``t_s`` (B,)."""
+        along = np.minimum(1.0, (t_s - self.onset_s) / self.length_s)
+        depth = np.maximum(self.reached_mm, self.probe.depth_mm * along)
+        command = np.zeros((len(t_s), 3))
+        command[:, 2] = -(self.lead_mm + self.probe.approach_mm_s * self.onset_s + depth)
+        return command
+
+
+def _follow(state: ContactState, ramp: _Ramp, ticks_s: FloatArray) -> tuple[Timeline, ContactState]:
+    """Follow the ramp; time steps end at the ticks and at its corners."""
+    ends = np.concatenate([ticks_s, ramp.corners_s()], axis=1)
+    ends = np.sort(np.maximum(ends, ramp.start_s[:, None]), axis=1)
+    times, values, now = [], [], ramp.start_s
     for end in ends.T:
-        ramp = probe.depth_mm * np.minimum(1.0, (end - onset_s) / ramp_s)
-        command = np.zeros((len(end), 3))
-        command[:, 2] = -np.maximum(reached, above + ramp)
-        state, solved = advance(state, command, end - now)
+        state, solved = advance(state, ramp.command_mm(end), end - now)
         times.append(end)
         values.append(packed(solved))
         now = end

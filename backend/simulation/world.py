@@ -209,9 +209,9 @@ class World:
 
     def _load(self, values: FloatArray) -> FloatArray:
         """Return (6,) at ``G``: contact, gripper and piece, N and N·mm."""
-        load = values[:6] + self._wrist.payload()
+        load = values[:6] + self._wrist.payload_g
         if self._holding is not None:
-            load = load + self._holding.weight.wrench_g()
+            load = load + self._holding.weight_g
         return load
 
     def _field(self, values: FloatArray) -> FloatArray:

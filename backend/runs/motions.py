@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from backend.core.facts import PhaseEntered
-from backend.core.faults import RefusedError
+from backend.core.faults import Fault, FaultError, RefusedError
 from backend.core.flow import Pose
 from backend.devices.interlock import ReleaseEvidence
 from backend.runs.bench import Bench
@@ -17,6 +17,8 @@ from backend.sensing.loading import slip_since_loading
 
 SETTLE_S = 0.3
 """Vibration of the arm dies out before reference and tare are taken."""
+REFERENCE_S = 5.0
+"""A reference is tried again for this long; smears on single markers last up to 0.4 s."""
 GRIP_S = 5.0
 MOVE_S = 30.0
 WRENCH_AGE_LIMIT_S = 0.015
@@ -40,12 +42,34 @@ def take_piece(bench: Bench) -> Plan[None]:
 
 
 def zero_sensors(bench: Bench, probe: int) -> Plan[None]:
-    """In air, at rest: take the tare and both tactile references."""
+    """In air, at rest: take the tare and both tactile references.
+
+    A marker hidden for a moment refuses the reference; it is tried again until ``REFERENCE_S``.
+    """
     yield PhaseEntered(bench.now_s(), "reference", probe)
     count = bench.settings.probe.reference_frames
     yield from rest(bench, SETTLE_S + count / 25.0)
     bench.sensing.zero_wrench(bench.now_s())
-    bench.sensing.take_references(count)
+    give_up_s = bench.now_s() + REFERENCE_S
+    while True:
+        try:
+            bench.sensing.take_references(count)
+        except RefusedError as cause:
+            if bench.now_s() >= give_up_s:
+                raise FaultError(_no_reference(cause)) from cause
+        else:
+            return
+        yield from rest(bench, 0.1)
+
+
+def _no_reference(cause: RefusedError) -> Fault:
+    return Fault(
+        "NO-REFERENCE",
+        f"No tactile reference within {REFERENCE_S:.0f} s: {cause.detail}",
+        "No probe was started; the piece is still held.",
+        "Look at the tactile images, then press Reset.",
+        "tactile",
+    )
 
 
 def lift(bench: Bench, probe: int) -> Plan[None]:

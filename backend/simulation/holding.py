@@ -61,7 +61,8 @@ class Holding:
         ).wrench_g()
         """(6,) weight of the piece at ``G``, N and N·mm."""
         self.sensed = False
-        """Whether the sensor errors of the present probe apply (they come after the tare)."""
+        """Whether the sensor errors of the probe apply: from its press on until it is lifted off."""
+        self._lowered = False
 
     def begin_probe(self, probe: ProbeSettings) -> None:
         """Draw the nuisances of the next probe; they hold until the one after it."""
@@ -73,11 +74,14 @@ class Holding:
     def solve(self, command_mm: FloatArray, dt_s: float) -> FloatArray:
         """Return (14,) of a timeline: contact wrench at ``G``, gel strain, pad forces."""
         height = command_mm[2] - self.touch_height_mm
+        near = bool(height <= NEAR_MM)
+        if near:
+            self._lowered = True
+        elif self._lowered:
+            self.sensed = self._lowered = False
         relaxing = self._state is not None and bool(self.conditions.alpha[0] > 0.0)
-        if height > NEAR_MM and not relaxing:
+        if not near and not relaxing:
             self._values = self.air
-            if height > 2.0 * NEAR_MM:
-                self.sensed = False
             return self._values
         state = self._contact(command_mm)
         relative = np.array([[*(command_mm[:2] - self._base_mm), height]])

@@ -13,10 +13,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from backend.core.flow import FloatArray
-from backend.objects.shapes import EDGE_TOLERANCE_MM, edge_normals
+from backend.objects.shapes import EDGE_TOLERANCE_MM, edge_normals, turned
 
 NO_SUPPORT = float("-inf")
 """Margin over an overlap that is empty."""
+
+
+NUDGE = 1e-9
+
+CLOSING_TOLERANCE_MM = 1e-5
+"""The pieces of a true overlap close at least this well, and are longer together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,21 +37,36 @@ class Cut:
 def overlap(first_mm: FloatArray, second_mm: FloatArray) -> Cut:
     """Return the edge of the overlap of two ccw convex polygons, (..., n, 2) and (..., m, 2) mm.
 
-    The leading axes broadcast. Edges that both share are kept once, from the first polygon.
+    The leading axes broadcast. Accurate to about 1e-7 mm.
     """
-    own = _inside(first_mm, second_mm, EDGE_TOLERANCE_MM)
-    other = _inside(second_mm, first_mm, -EDGE_TOLERANCE_MM)
-    return Cut(
-        np.concatenate([own.start_mm, other.start_mm], axis=-2),
-        np.concatenate([own.end_mm, other.end_mm], axis=-2),
-        np.concatenate([own.kept, other.kept], axis=-1),
-    )
+    second_mm = _nudged(second_mm)
+    own, other = _inside(first_mm, second_mm), _inside(second_mm, first_mm)
+    start = np.concatenate([own.start_mm, other.start_mm], axis=-2)
+    end = np.concatenate([own.end_mm, other.end_mm], axis=-2)
+    kept = np.concatenate([own.kept, other.kept], axis=-1)
+    # Outlines that only touch leave pieces that do not close, or hardly any: no overlap then.
+    along = (end - start) * kept[..., None]
+    gap, length = along.sum(axis=-2), np.hypot(along[..., 0], along[..., 1]).sum(axis=-1)
+    closes = np.hypot(gap[..., 0], gap[..., 1]) < CLOSING_TOLERANCE_MM
+    closes &= length > CLOSING_TOLERANCE_MM
+    return Cut(start, end, kept & closes[..., None])
 
 
-def _inside(edges_of: FloatArray, within: FloatArray, tolerance_mm: float) -> Cut:
+def _nudged(polygon_mm: FloatArray) -> FloatArray:
+    """Turn and shrink a polygon by a hair about its middle.
+
+    Outlines of equal pieces share edges exactly, and round-off would then keep a shared edge
+    twice or not at all. After the nudge no two edges coincide.
+    """
+    middle = polygon_mm.mean(axis=-2, keepdims=True)
+    away = polygon_mm - middle
+    return np.asarray(middle + (1.0 - NUDGE) * turned(away, np.sqrt(2.0) * NUDGE))
+
+
+def _inside(edges_of: FloatArray, within: FloatArray) -> Cut:
     """Cut every edge of one polygon to its stretch inside the other."""
     start, normal = edge_normals(within)
-    reach = tolerance_mm + (start * normal).sum(axis=-1)
+    reach = (start * normal).sum(axis=-1)
     depth = reach[..., None, :] - edges_of @ np.swapaxes(normal, -1, -2)
     after = np.roll(depth, -1, axis=-2)
     whole = depth.min(axis=-1) >= 0.0

@@ -100,7 +100,7 @@ class PieceFile(Settings):
     com_xy_mm: tuple[Number, Number] = (0.0, 0.0)
     mass_g: NonNegative
     fixed: Annotated[bool, Field(validate_default=True)] = False
-    grip_height_mm: Positive | None = None
+    grip_height_mm: Annotated[Positive | None, Field(validate_default=True)] = None
     width_mm: Positive = 30.0
     nominal: bool = True
 
@@ -122,13 +122,9 @@ class PieceFile(Settings):
 
     @field_validator("grip_height_mm")
     @classmethod
-    def _grip_is_within(cls, value: float | None, info: ValidationInfo) -> float | None:
+    def _can_be_gripped(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is None and "top" in info.data.get("roles", ()):
+            raise ValueError("a piece with the role top needs grip_height_mm")
         if value is not None and value > info.data.get("height_mm", value):
             raise ValueError("the grip lies above the piece (height_mm)")
         return value
-
-    @model_validator(mode="after")
-    def _top_has_grip(self) -> Self:
-        if "top" in self.roles and self.grip_height_mm is None:
-            raise ValueError("a piece with the role top needs grip_height_mm")
-        return self

@@ -20,7 +20,8 @@ START_MARGIN_MM = -0.2
 COARSE_SEGMENTS = 48
 """Corners of a circle while sampling: area error below 0.3 %, on the small side."""
 
-MAX_ROUNDS = 2000
+MAX_ROUNDS = 500
+"""Draws before giving up; a start is found within a few."""
 
 
 def draw_offset(

@@ -56,7 +56,25 @@ def overlap_area_mm2(
     yaw_rad: float = 0.0,
     segments: int = CIRCLE_SEGMENTS,
 ) -> FloatArray:
-    """Return the overlap area (...,) in mm² of the face at each offset (..., 2)."""
+    """Return the overlap area (...,) in mm² of the face at each offset (..., 2).
+
+    Exact for two circles; otherwise a circle counts as a polygon of ``segments`` corners.
+    """
     offset = np.asarray(offset_mm, dtype=np.float64)
+    if face.kind == bottom.kind == "circle":
+        return _lens_mm2(np.hypot(offset[..., 0], offset[..., 1]), face.radius_mm, bottom.radius_mm)
     moved = turned(face.polygon(segments), yaw_rad) + offset[..., None, :]
     return clipping.area_mm2(clipping.overlap(moved, bottom.polygon(segments)))
+
+
+def _lens_mm2(distance_mm: FloatArray, r: float, s: float) -> FloatArray:
+    """Return the common area of two circles of radius r and s mm, their centres apart."""
+    apart = np.clip(distance_mm, abs(r - s), r + s)
+    # Distance from each centre to the common chord; concentric equal circles share a diameter.
+    near = np.divide(apart**2 + r**2 - s**2, 2 * apart, out=np.zeros_like(apart), where=apart > 0)
+    segments = [
+        radius**2 * np.arccos(np.clip(chord / radius, -1.0, 1.0))
+        - chord * np.sqrt(np.maximum(radius**2 - chord**2, 0.0))
+        for radius, chord in ((r, near), (s, apart - near))
+    ]
+    return np.asarray(np.maximum(segments[0] + segments[1], 0.0), dtype=np.float64)

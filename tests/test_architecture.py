@@ -2,6 +2,9 @@
 
 import ast
 import re
+import subprocess
+import sys
+import tomllib
 from functools import cache
 from pathlib import Path
 
@@ -137,8 +140,6 @@ def test_the_machine_path_rule_can_fail():
 
 
 def test_no_other_top_level_folder():
-    import subprocess
-
     done = subprocess.run(
         ["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False
     )
@@ -152,3 +153,38 @@ def test_glossary_words_are_kept_in_module_names():
     """Words that CONTEXT.md tells to avoid are not names of modules."""
     avoided = {"touch", "poke", "footprint", "alarm", "snapshot", "sweep"}
     assert [_name(p) for p in CODE if p.stem in avoided] == []
+
+
+IMPORTED_AS = {
+    "PySide6-Essentials": {"PySide6", "shiboken6"},
+    "opencv-contrib-python-headless": {"cv2"},
+    "pyserial": {"serial"},
+}
+
+
+def test_what_is_imported_is_declared_and_nothing_else():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    names = [re.match(r"[A-Za-z0-9_-]+", wanted)[0] for wanted in project["dependencies"]]
+    declared = {module for name in names for module in IMPORTED_AS.get(name, {name})}
+    imported = set()
+    for path in CODE:
+        for node in ast.walk(_tree(path)):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                imported.add(node.module.split(".")[0])
+    imported -= sys.stdlib_module_names | set(PACKAGES) | {"resources"}
+    assert imported - declared == set()
+    assert declared - imported - {"shiboken6"} == set()
+
+
+def test_mujoco_has_one_door():
+    """It is optional and imported by name, which the import contracts do not see."""
+    doors = [
+        _name(p)
+        for p in CODE
+        if re.search(r"""["']mujoco["']|import mujoco""", p.read_text("utf-8"))
+    ]
+    assert [name for name in doors if not name.startswith("backend/verbs/check_")] == [
+        "backend/simulation/release_mujoco.py"
+    ]

@@ -7,6 +7,7 @@ import shutil
 import sys
 import tempfile
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 from pathlib import Path
 
 from backend.verbs.check import Check
@@ -93,13 +94,11 @@ def check_disk(folder: Path | None = None) -> Check:
     return Check("disk", ok, f"{free_gb:.1f} GB free at {place}", fix)
 
 
-def check_models() -> Check:
+def check_models(folder: Traversable | None = None) -> Check:
     """Look for the shipped models, one per piece."""
-    shipped = sorted(
-        entry.name
-        for entry in files("resources").joinpath("models").iterdir()
-        if entry.name.endswith(".safetensors")
-    )
+    models = files("resources").joinpath("models") if folder is None else folder
+    entries = models.iterdir() if models.is_dir() else ()
+    shipped = sorted(entry.name for entry in entries if entry.name.endswith(".safetensors"))
     absent = [piece for piece in PIECES if not any(name.startswith(piece) for name in shipped)]
     if absent:
         return Check("models", False, f"missing for {', '.join(absent)}", "make models")

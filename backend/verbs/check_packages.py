@@ -133,7 +133,7 @@ def check_others() -> Check:
         "pydantic",
         "rich",
         "safetensors",
-        "mcap",
+        "zstandard",
         "pyserial",
     )
     absent = [name for name in required if installed(name) is None]

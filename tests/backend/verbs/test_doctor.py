@@ -191,3 +191,15 @@ def test_no_display_is_no_failure_but_has_a_way_out(monkeypatch):
     assert "make demo" in check.fix
     monkeypatch.setenv("DISPLAY", ":0")
     assert check_machine.check_display() == Check("display", True, "X11 :0")
+
+
+def test_missing_models_are_named(tmp_path):
+    (tmp_path / "pot.safetensors").touch()
+    (tmp_path / "barrel.json").touch()
+    check = check_machine.check_models(tmp_path)
+    assert (check.ok, check.fix) == (False, "make models")
+    assert check.detail == "missing for mushroom, barrel"
+    assert not check_machine.check_models(tmp_path / "no such folder").ok
+    for piece in ("mushroom", "barrel"):
+        (tmp_path / f"{piece}.safetensors").touch()
+    assert check_machine.check_models(tmp_path).ok

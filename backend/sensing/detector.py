@@ -26,8 +26,8 @@ _DARKEST_MEAN = 16.0
 _BLOB_DEPTH = 0.15
 _RAMP = (0.05, 0.45)
 _WEIGHT_SIGMA_PX = 5.0
-_GAIN = 1.5
-_STEPS = 3
+_AREA_OF_DOUBLE_GAIN_PX2 = 220.0
+_STEPS = 2
 _REACH_PX = 3.0
 _LAST_PIXEL = np.array([WIDTH_PX - 1, HEIGHT_PX - 1])
 _OPENING = np.ones((3, 3), np.uint8)
@@ -104,8 +104,12 @@ class Detector:
         keep = fits & (round_enough | ~whole)
         return Blobs(centre[keep], 4.0 * area[keep], whole[keep])
 
-    def refine(self, start_px: FloatArray) -> Centres:
-        """Return the dot centres nearest to ``start_px`` (n, 2), which may err by a few px."""
+    def refine(self, start_px: FloatArray, area_px: FloatArray) -> Centres:
+        """Return the dot centres nearest to ``start_px`` (n, 2), which may err by a few px.
+
+        ``area_px`` (n,) sets the stride only: the bell holds back the more, the larger the dot.
+        """
+        gain = (1.0 + area_px / _AREA_OF_DOUBLE_GAIN_PX2)[:, None]
         position = np.array(start_px, dtype=np.float64)
         mass = np.zeros(len(position))
         middle = np.full_like(position, -1e9)
@@ -118,7 +122,7 @@ class Detector:
                 np.clip(weight, _RAMP[0], _RAMP[1], out=weight)
                 weight -= np.float32(_RAMP[0])
             mass, shift = _moments(weight, position - middle)
-            position = position + _GAIN * shift
+            position = position + gain * shift
         return Centres(position, mass)
 
 

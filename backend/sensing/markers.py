@@ -165,8 +165,9 @@ class MarkerTracker:
         seen = owner >= 0
         position = self._position.copy()
         start = blobs.centre_px[owner[seen]]
-        centres = self._detector.refine(start)
-        looks = np.column_stack([centres.mass, blobs.area_px[owner[seen]]])
+        area = blobs.area_px[owner[seen]]
+        centres = self._detector.refine(start, area)
+        looks = np.column_stack([centres.mass, area])
         stale = t_s - self._last_seen_s[seen] > LOST_AFTER_S
         good = self._looks.recognise(np.flatnonzero(seen), looks, stale)
         good &= np.abs(centres.position_px - start).max(axis=1, initial=0.0) < _LARGEST_SHIFT_PX

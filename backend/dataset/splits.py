@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from backend.core.faults import InputError
 from backend.dataset.rows import TrainingRows
 
-MIN_MOUNTINGS = 10
+MIN_MOUNTINGS = 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Split:
 def split_rows(rows: TrainingRows, share: float, seed: int) -> Split:
     """Hold out about ``share`` (0..1) of the episodes, in whole mountings or grips.
 
-    Mountings where there are at least ten, else grips. Raises ``InputError`` if all episodes come
+    Mountings where there are at least 30, else grips. Raises ``InputError`` if all episodes come
     from one grip: then every split would leak.
     """
     if len(set(rows.mounting_id)) >= MIN_MOUNTINGS:

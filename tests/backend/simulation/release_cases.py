@@ -1,0 +1,55 @@
+"""Random stacks for holding the exact judge against the physics engine."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from backend.objects import shapes
+from backend.objects.shapes import Outline
+from backend.objects.tower import Body, Tower
+
+
+def outline(rng: np.random.Generator) -> Outline:
+    """Draw a circle, rectangle or hexagon of 7.5 to 15 mm radius."""
+    kind = rng.integers(3)
+    r = float(rng.uniform(7.5, 15.0))
+    if kind == 0:
+        return shapes.circle(2 * r)
+    if kind == 1:
+        return shapes.rectangle(2 * r, 2 * float(rng.uniform(7.5, 15.0)))
+    return shapes.regular(6, 2 * r)
+
+
+def body(rng: np.random.Generator, name: str, at_mm: tuple[float, float], *, yaw: bool) -> Body:
+    """Draw a free body of 15 to 70 mm height and 20 to 60 g."""
+    face = outline(rng)
+    height = float(rng.uniform(15.0, 70.0))
+    return Body(
+        name,
+        face,
+        face,
+        height,
+        float(rng.uniform(20.0, 60.0)),
+        height / 2,
+        at_mm=at_mm,
+        yaw_rad=float(rng.uniform(-math.pi, math.pi)) if yaw else 0.0,
+    )
+
+
+def stack(rng: np.random.Generator, count: int, *, fixed: bool, yaw: bool = False) -> Tower:
+    """Draw a stack whose bodies lie 2 to 14 mm off the one below, so that about half fall."""
+    at = (0.0, 0.0)
+    bodies: list[Body] = []
+    for index in range(count):
+        bodies.append(body(rng, f"b{index}", at, yaw=yaw))
+        reach, angle = rng.uniform(2.0, 14.0), rng.uniform(0.0, 2 * math.pi)
+        at = (at[0] + reach * math.cos(angle), at[1] + reach * math.sin(angle))
+    if fixed:
+        first = bodies[0]
+        face = first.lower
+        bodies[0] = Body(
+            "base", face, face, first.height_mm, 0.0, 1.0, yaw_rad=first.yaw_rad, fixed=True
+        )
+    return Tower(tuple(bodies))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from PySide6.QtCore import Qt
 from PySide6.QtGui import QGuiApplication
 from PySide6.QtWidgets import (
     QFrame,
@@ -115,6 +114,19 @@ class FaultCard(QFrame):
         self._on_button(self.text)
 
 
+class _Answer(QPushButton):
+    """One answer: withdraws the question, then acts."""
+
+    def __init__(self, text: str, withdraw: Callable[[], None], action: Callable[[], None]) -> None:
+        super().__init__(text)
+        self._withdraw, self._action = withdraw, action
+        self.clicked.connect(self._give)
+
+    def _give(self) -> None:
+        self._withdraw()
+        self._action()
+
+
 class FaultCards(QWidget):
     """The cards and at most one question; takes no room while there is none."""
 
@@ -158,11 +170,9 @@ class FaultCards(QWidget):
         row = QHBoxLayout(frame)
         row.addWidget(label(question.text, "title", wrap=True), 1)
         for text, action in question.answers:
-            button = QPushButton(text)
-            button.setAccessibleName(f"{text}: {question.text}")
-            button.clicked.connect(self.withdraw)
-            button.clicked.connect(action, Qt.ConnectionType.QueuedConnection)
-            row.addWidget(button)
+            answer = _Answer(text, self.withdraw, action)
+            answer.setAccessibleName(f"{text}: {question.text}")
+            row.addWidget(answer)
         self._question = frame
         self._column.insertWidget(0, frame)
         self.show()

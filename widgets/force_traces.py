@@ -99,7 +99,7 @@ class TracePlot(QWidget):
             draw_stale(painter, area.rect, self._theme, self._age_s)
 
     def _draw_traces(self, painter: QPainter, area: PlotArea) -> None:
-        age_s, low, high = self.buckets.ordered()
+        age_s, low, high = thinned(*self.buckets.ordered(), int(area.rect.width()))
         painter.setClipRect(area.rect)
         self.points_drawn = 0
         for axis, name in enumerate(AXES):
@@ -172,6 +172,21 @@ def _next_limit(limit: float) -> float:
         if mantissa * power > limit * (1 + 1e-9):
             return float(mantissa * power)
     return limit * 2
+
+
+def thinned(
+    age_s: FloatArray, low: FloatArray, high: FloatArray, columns: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Merge neighbouring buckets until there are at most ``columns`` of them."""
+    factor = -(-len(age_s) // max(columns, 1))
+    if factor <= 1:
+        return age_s, low, high
+    starts = np.arange(0, len(age_s), factor)
+    return (
+        age_s[starts],
+        np.fmin.reduceat(low, starts, axis=0),
+        np.fmax.reduceat(high, starts, axis=0),
+    )
 
 
 def _polylines(

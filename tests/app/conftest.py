@@ -1,0 +1,46 @@
+"""The window on the stand-in bench, closed and deleted after each test."""
+
+from pathlib import Path
+
+import pytest
+
+from app.application import TouchdownApp
+from app.error_hooks import ErrorBox
+from tests.app.stand_in import StandInBench
+
+
+@pytest.fixture
+def bench():
+    return StandInBench()
+
+
+@pytest.fixture
+def main(qapp, qtbot, tmp_path: Path):
+    """A window without a bench; its pump is ticked by hand."""
+    made = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
+    yield made
+    made.close()
+    made.window.deleteLater()
+    made.deleteLater()
+
+
+@pytest.fixture
+def live(main, bench, qtbot):
+    """The window with the stand-in bench attached and shown."""
+    main.attach(bench)
+    main.window.show()
+    qtbot.waitExposed(main.window)
+    main.window.activateWindow()
+    qtbot.waitActive(main.window)
+    bench.turn(0.2)
+    settle(main)
+    return main
+
+
+def settle(main, ticks=12):
+    """Turn the pump until everything waiting is shown."""
+    from PySide6.QtWidgets import QApplication
+
+    for _ in range(ticks):
+        main.pump.tick()
+        QApplication.processEvents()

@@ -1,0 +1,213 @@
+"""The frame: keys, names, sizes, settings that cannot break the start, errors that are shown."""
+
+import json
+import sys
+import threading
+
+import pytest
+from PySide6.QtCore import QRect, Qt, qWarning
+from PySide6.QtGui import QAction, QKeySequence
+from PySide6.QtWidgets import QAbstractButton, QComboBox, QLabel, QSpinBox, QWidget
+
+from app.actions import COMMANDS, STOP_ROWS, key_rows
+from app.error_hooks import ErrorBox, install, log_to
+from app.guard import bad_pair
+from app.settings import WindowSettings, load_settings, save_settings
+from tests.app.conftest import settle
+from tests.app.stand_in import StandInBench
+from widgets.run_panel import RunForm
+from widgets.theme import THEMES
+
+
+def test_no_two_commands_share_a_key():
+    keys = [QKeySequence(c.key).toString() for c in COMMANDS]
+    assert all(keys)
+    assert len(set(keys)) == len(keys)
+    assert not {"F12", "Space"} & set(keys)
+
+
+def test_no_action_or_shortcut_takes_a_stop_key(live):
+    keys = {a.shortcut().toString() for a in live.window.findChildren(QAction)}
+    assert not {key for key, _ in STOP_ROWS} & keys
+    assert {"F12", "Space"} <= {key for key, _ in key_rows()}
+
+
+def test_everything_that_can_be_operated_has_a_name(live):
+    nameless = [
+        widget
+        for widget in live.window.findChildren(QWidget)
+        if isinstance(widget, (QAbstractButton, QComboBox, QSpinBox))
+        and not (widget.accessibleName() or getattr(widget, "text", str)())
+        and not widget.objectName().startswith("qt_")
+        and not isinstance(widget.parent(), (QComboBox, QSpinBox))
+    ]
+    assert nameless == []
+
+
+def test_buttons_and_fields_have_tooltips(live):
+    for widget in (*live.window.rail.values(), live.bar.stop, live.page.run.start,
+                   live.page.run.pause, live.page.run.cancel, live.page.decision.approve,
+                   *live.page.run.findChildren(QComboBox)):  # fmt: skip
+        assert widget.toolTip()
+
+
+@pytest.mark.parametrize("theme", THEMES)
+@pytest.mark.parametrize("size", [(1280, 720), (1600, 940)])
+def test_no_label_is_cut_off_and_the_top_bar_is_visible(live, bench, theme, size):
+    live.set_theme(theme)
+    live.window.resize(*size)
+    bench.tell_start()
+    bench.tell_probe(1, (7.2, 3.1), -3.4)
+    settle(live)
+    assert (live.window.width(), live.window.height()) == size
+    cut = [
+        label.text()
+        for label in live.window.findChildren(QLabel)
+        if label.isVisible() and label.text() and not label.wordWrap()
+        and label.sizePolicy().horizontalPolicy() is not label.sizePolicy().Policy.Ignored
+        and label.width() < label.sizeHint().width() - 1
+    ]  # fmt: skip
+    assert cut == []
+    window = QRect(live.window.rect())
+    for widget in (live.bar.stop, live.bar.pill, *live.bar.chips.values(), live.page.run.cancel):
+        corner = widget.mapTo(live.window, widget.rect().bottomRight())
+        assert window.contains(corner)
+
+
+def test_scale_and_theme_switch_live(live):
+    before = live.bar.pill.sizeHint().height()
+    live.actions.action("larger").trigger()
+    live.actions.action("larger").trigger()
+    assert live.theme.scale == pytest.approx(1.2)
+    assert live.bar.pill.sizeHint().height() > before
+    names = []
+    for _ in range(3):
+        live.actions.action("theme").trigger()
+        names.append(live.theme.tokens.name)
+    assert sorted(names) == sorted(THEMES)
+    live.set_theme("dark")
+    live._restyle(0, 1.0)
+
+
+def test_the_key_sheet_opens_without_blocking(live):
+    live.actions.action("keys").trigger()
+    settle(live)
+    assert live._sheet.isVisible()
+    assert not live._sheet.isModal()
+    live._sheet.close()
+
+
+# -- settings --------------------------------------------------------------------------------------
+
+
+def test_settings_survive_a_round_trip(tmp_path):
+    path = tmp_path / "a" / "window.json"
+    wanted = WindowSettings("light", 1.3, (10, 20, 1500, 900), RunForm("barrel", trials=9))
+    save_settings(path, wanted)
+    assert load_settings(path) == (wanted, "")
+
+
+def test_no_file_is_no_warning(tmp_path):
+    assert load_settings(tmp_path / "none.json") == (WindowSettings(), "")
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", "{", "[]", "null", '{"version": 99}', '{"version": 1, "theme": 5, "scale": "x"}',
+     '{"version": 1, "geometry": [1, 2], "form": {"seed": "seven"}}',
+     '{"version": 1, "scale": 1e9, "geometry": ["a", 1, 1, 1], "form": []}',
+     '{"version": 1, "geometry": [0, 0, 99999999, 1]}', "\udcff"],
+)  # fmt: skip
+def test_a_bad_file_never_prevents_the_start(tmp_path, content):
+    path = tmp_path / "window.json"
+    path.write_bytes(content.encode("utf-8", "surrogateescape"))
+    settings, warning = load_settings(path)
+    assert warning
+    assert settings.theme == "dark"
+    assert settings.scale == 1.0
+    assert settings.geometry is None
+
+
+def test_good_fields_of_a_partly_bad_file_are_kept(tmp_path):
+    path = tmp_path / "window.json"
+    body = {"version": 1, "theme": "light", "scale": 7, "form": {"piece": "barrel", "seed": "x"}}
+    path.write_text(json.dumps(body))
+    settings, warning = load_settings(path)
+    assert settings.theme == "light"
+    assert settings.form.piece == "barrel"
+    assert "scale" in warning
+    assert "seed" in warning
+
+
+def test_closing_remembers_the_form(main, tmp_path):
+    main.attach(StandInBench())
+    main.page.run.show_form(RunForm("mushroom", "circle25", seed=42))
+    main.close()
+    settings, _ = load_settings(tmp_path / "window.json")
+    assert (settings.form.piece, settings.form.bottom, settings.form.seed) == (
+        "mushroom", "circle25", 42,
+    )  # fmt: skip
+
+
+# -- guard and hooks -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("python", "pyside", "bad"),
+    [((3, 11), "6.12.0", True), ((3, 12), "6.12.0", False), ((3, 13), "6.9.1", True),
+     ((3, 11), "6.11.3", False)],
+)  # fmt: skip
+def test_the_guard_knows_the_bad_pairs(python, pyside, bad):
+    line = bad_pair(python, pyside)
+    assert (line is not None) == bad
+    if line:
+        assert pyside in line
+        assert "pip install" in line
+
+
+def test_exceptions_of_slots_and_threads_and_qt_become_cards(main, qtbot):
+    before = (sys.excepthook, threading.excepthook, sys.unraisablehook)
+    restore = install(main._box)
+    try:
+        sys.excepthook(ValueError, ValueError("in a slot"), None)
+        worker = threading.Thread(target=lambda: 1 / 0, name="lathe")
+        worker.start()
+        worker.join()
+        qWarning("a layout complains")
+    finally:
+        restore()
+    assert (sys.excepthook, threading.excepthook, sys.unraisablehook) == before
+    settle(main)
+    assert set(main.cards.codes) == {"BUG-VALUEERROR", "BUG-ZERODIVISIONERROR", "QT"}
+    assert "lathe" in main.cards.card("BUG-ZERODIVISIONERROR").text.what
+    assert "Traceback" in main.cards.card("BUG-ZERODIVISIONERROR").text.details
+    main.cards.card("QT")._act()
+    assert "QT" not in main.cards.codes
+
+
+def test_a_log_that_cannot_be_written_is_no_obstacle(tmp_path):
+    (tmp_path / "file").write_text("x")
+    assert log_to(tmp_path / "file" / "log") is None
+    assert ErrorBox().take() is None
+
+
+def test_details_are_shown_and_copied(live, bench, qapp):
+    bench.tell_fault()
+    settle(live)
+    card = live.cards.card("FT-TRIP")
+    card._copy()
+    assert "FT-TRIP" in qapp.clipboard().text()
+    assert card._details.isHidden()
+    card._toggle()
+    assert not card._details.isHidden()
+
+
+def test_questions_do_not_block(live, qtbot):
+    answered = []
+    from widgets.fault_cards import Question
+
+    live.cards.ask(Question("Really?", (("Yes", lambda: answered.append(1)),)))
+    button = next(b for b in live.cards.findChildren(QAbstractButton) if b.text() == "Yes")
+    qtbot.mouseClick(button, Qt.MouseButton.LeftButton)
+    qtbot.waitUntil(lambda: answered == [1], timeout=1000)
+    assert live.cards._question is None

@@ -1,0 +1,215 @@
+"""The Stack workspace shows what the facts say, and orders what the operator asks."""
+
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
+from scipy.stats import binomtest
+
+from app.stack import request_of
+from app.tally import wilson
+from backend.core.flow import Outcome
+from backend.runs.requests import RunState, StackRequest
+from tests.app.conftest import settle
+from tests.app.stand_in import action
+from widgets.run_panel import RunForm
+
+
+def told(live, bench, end=None):
+    bench.tell_start()
+    bench.set_state(RunState.RUNNING)
+    bench.tell_probe(1, (7.2, 3.1), -3.4)
+    bench.tell_probe(2, (4.4, 1.9), -1.1)
+    if end is not None:
+        bench.tell_end(end)
+    settle(live)
+
+
+def test_start_hands_over_what_is_filled_in(live, bench):
+    live.page.run.show_form(RunForm("barrel", "hex20", "long", 11, 5, "pick-and-place", "step"))
+    live.page.run.start.click()
+    assert bench.started == [
+        StackRequest("barrel", ("long", "hex20"), 11, 5, "pick-and-place", "step")
+    ]
+
+
+def test_a_form_without_a_tower():
+    assert request_of(RunForm(bottom="short", under="")).bottoms == ("short",)
+
+
+def test_a_second_start_is_not_sent(live, bench):
+    live.page.run.start.click()
+    live._start()
+    assert len(bench.started) == 1
+
+
+def test_buttons_follow_the_state(live, bench):
+    run = live.page.run
+    assert (run.start.isEnabled(), run.pause.isEnabled(), run.cancel.isEnabled()) == (1, 0, 0)
+    run.start.click()
+    settle(live)
+    assert (run.start.isEnabled(), run.pause.isEnabled(), run.cancel.isEnabled()) == (0, 1, 1)
+    run.pause.click()
+    settle(live)
+    assert run.pause.text() == "Resume"
+    run.pause.click()
+    run.cancel.click()
+    assert bench.engine.orders == ["pause", "resume", "cancel"]
+
+
+def test_decision_and_map_show_the_newest_probe(live, bench):
+    told(live, bench)
+    page = live.page
+    assert page.decision._margin.text() == "\N{MINUS SIGN}1.1 mm"
+    assert page.belief.scene.belief.probes == 2
+    assert len(page.strip.thumbnails) == 2
+    assert page.belief.scene.truth is None
+    assert "probe 2" in page.belief_panel.detail.text()
+
+
+def test_looking_back_and_forward_again(live, bench, qtbot):
+    told(live, bench)
+    qtbot.mouseClick(live.page.strip.thumbnails[0], Qt.MouseButton.LeftButton)
+    settle(live)
+    assert live.page.belief.scene.belief.probes == 1
+    assert "Looking back" in live.page.decision._text.text()
+    bench.tell_probe(3, (1.6, 0.7), 1.6)
+    settle(live)
+    assert live.page.belief.scene.belief.probes == 1  # stays where the operator looks
+    qtbot.mouseClick(live.page.strip.thumbnails[2], Qt.MouseButton.LeftButton)
+    settle(live)
+    assert live.page.belief.scene.belief.probes == 3
+
+
+def test_the_true_overlap_appears_only_after_the_trial(live, bench):
+    told(live, bench)
+    assert live.page.belief.scene.truth is None
+    bench.tell_end(Outcome.PLACED)
+    settle(live)
+    truth = live.page.belief.scene.truth
+    assert truth is not None
+    # Start offset told as true, commanded equal to it: the overlap holds the midpoint of both.
+    assert len(truth) > 10
+
+
+def test_the_score_counts_and_gives_the_interval(live, bench):
+    told(live, bench, Outcome.PLACED)
+    bench.tell_trial(1)
+    bench.tell_end(Outcome.FELL)
+    settle(live)
+    score = live.page.score
+    assert score._count.text() == "1 of 2 placed"
+    assert score._rate.text() == "50 % success, 95 % interval 9 to 91 %"
+
+
+@pytest.mark.parametrize(("placed", "trials"), [(0, 10), (8, 10), (50, 60), (10, 10)])
+def test_wilson_against_scipy(placed, trials):
+    expected = binomtest(placed, trials).proportion_ci(0.95, method="wilson")
+    assert wilson(placed, trials) == pytest.approx((expected.low, expected.high), abs=1e-6)
+    assert wilson(0, 0) is None
+
+
+def test_a_new_trial_empties_the_map(live, bench):
+    told(live, bench, Outcome.PLACED)
+    bench.tell_trial(1)
+    settle(live)
+    assert live.page.belief.scene.belief is None
+    assert live.page.strip.thumbnails == []
+
+
+@pytest.mark.parametrize(("key", "mode"), [(Qt.Key.Key_A, "approve"), (Qt.Key.Key_N, "step")])
+def test_approval_is_asked_and_given_by_key(live, bench, key, mode):
+    live.page.run.show_form(RunForm(mode=mode))
+    told(live, bench)
+    QTest.keyClick(live.window, key)
+    assert bench.answers == []  # nothing waits: nothing is approved in advance
+    bench.set_state(RunState.RUNNING, awaiting=action((4.4, 1.9), -1.1))
+    settle(live)
+    assert live.page.decision.approve.isVisible()
+    assert live.bar.pill.state.word == "YOUR TURN"
+    QTest.keyClick(live.window, key)
+    assert bench.answers == [True]
+
+
+def test_declining(live, bench):
+    bench.set_state(RunState.RUNNING, awaiting=action((4.4, 1.9), -1.1))
+    settle(live)
+    live.page.decision.decline.click()
+    assert bench.answers == [False]
+
+
+def test_letters_do_nothing_in_a_text_field(live, bench):
+    bench.set_state(RunState.RUNNING)
+    settle(live)
+    live.page.run._seed.setEnabled(True)
+    live.page.run._seed.setFocus()
+    QTest.keyClick(live.page.run._seed, Qt.Key.Key_P)
+    assert bench.engine.orders == []
+
+
+def test_a_fault_becomes_a_card_until_reset(live, bench):
+    bench.tell_fault()
+    bench.tell_fault()
+    settle(live)
+    assert live.cards.codes == ("FT-TRIP",)
+    assert live.cards.card("FT-TRIP").count == 2
+    assert live.bar.pill.state.word == "FAULT"
+    live.cards.card("FT-TRIP")._act()
+    settle(live)
+    assert live.cards.codes == ()
+    assert live.bar.pill.state.word == "READY"
+
+
+def test_stale_by_the_windows_own_clock(live, bench):
+    now_s = [1000.0]
+    live.live._now_s = lambda: now_s[0]
+    live.live._chips_s = 0.0
+    bench.turn(0.04)
+    settle(live)
+    assert live.bar.chips["tactile_left"].value.state == "ready"
+    now_s[0] += 0.201
+    live.live._chips_s = 0.0
+    settle(live)
+    assert live.bar.chips["tactile_left"].value.state == "stale"
+    assert live.page.tactile["left"]._age.value == "stale"
+    now_s[0] += 2.0
+    settle(live)
+    assert live.page.tactile["left"]._age.value == "gone"
+    bench.turn(0.04)
+    settle(live)
+    assert live.page.tactile["left"]._age.value == "fresh"
+
+
+def test_every_frame_is_drawn_once(live, bench):
+    before = live.live.frames_shown["left"]
+    for _ in range(10):
+        bench.turn(0.04)
+        settle(live, 5)
+    assert live.live.frames_shown["left"] == before + 10
+
+
+def test_simulated_is_said_in_banner_pill_and_title(live):
+    assert "SIMULATED" in live.window.windowTitle()
+    assert live.window._banner.isVisible()
+    assert "simulated" in live.bar.pill.state.note
+    assert live.bar._estop.text() == "none (simulated)"
+
+
+def test_closing_while_running_asks_and_stops_first(live, bench):
+    bench.set_state(RunState.RUNNING)
+    assert not live.window.close()
+    assert live.window.isVisible()
+    live._stop_and_close()
+    assert bench.stops == 1
+    assert not live.window.isVisible()
+
+
+def test_a_bench_that_cannot_be_built_is_a_card(main, qtbot):
+    def fail():
+        raise OSError("no such model")
+
+    main.connect_bench(fail)
+    qtbot.waitUntil(lambda: bool(main._arriving), timeout=3000)
+    settle(main)
+    assert main.cards.codes == ("CONNECT",)
+    assert "no such model" in main.cards.card("CONNECT").text.what
+    assert main.bar.pill.state.word == "NO DEVICES"

@@ -1,0 +1,160 @@
+"""One press is one stop, whatever is open and wherever the focus is."""
+
+import pytest
+from PySide6.QtCore import Qt, QTimer
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication, QFileDialog, QMenu, QMessageBox
+
+from backend.devices.protocols import RobotMode
+from backend.runs.requests import RunState
+from tests.app.conftest import settle
+
+PLACES = ["window", "combo", "spin box", "combo popup", "menu", "message box", "file dialog"]
+
+
+def press(key):
+    """Press a key as the window system delivers it: to the window in front."""
+    window = (
+        QApplication.activePopupWidget()
+        or QApplication.activeModalWidget()
+        or QApplication.activeWindow()
+    )
+    QTest.keyClick(window.windowHandle(), key)
+
+
+def put_focus(main, place):
+    """Open what the case names; return what closes it again."""
+    run = main.page.run
+    if place == "combo":
+        run._piece.setFocus()
+    elif place == "spin box":
+        run._seed.setFocus()
+    elif place == "combo popup":
+        run._piece.showPopup()
+        return run._piece.hidePopup
+    elif place == "menu":
+        menu = QMenu(main.window)
+        menu.addAction("one")
+        menu.popup(main.window.mapToGlobal(main.window.rect().center()))
+        return menu.close
+    elif place == "message box":
+        box = QMessageBox(QMessageBox.Icon.NoIcon, "t", "text", parent=main.window)
+        box.open()
+        return box.close
+    elif place == "file dialog":
+        dialog = QFileDialog(main.window)
+        dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
+        dialog.open()
+        return dialog.close
+    return lambda: None
+
+
+@pytest.mark.parametrize("page", ["stack", "review"])
+@pytest.mark.parametrize("place", PLACES)
+def test_f12_stops_exactly_once_from_everywhere(live, bench, qtbot, page, place):
+    live.window.show_page(page)
+    if page == "review" and place in ("combo", "spin box", "combo popup"):
+        pytest.skip("there is no such field on this page")
+    close = put_focus(live, place)
+    QApplication.processEvents()
+    press(Qt.Key.Key_F12)
+    assert bench.stops == 1
+    assert bench.interlock.latched
+    close()
+    QApplication.processEvents()
+
+
+@pytest.mark.parametrize("state", list(RunState))
+def test_f12_stops_in_every_state(live, bench, state):
+    bench.set_state(state)
+    press(Qt.Key.Key_F12)
+    assert bench.stops == 1
+    settle(live)
+    assert live.bar.pill.state.word == "STOPPED"
+
+
+def test_f12_stops_inside_a_modal_loop(live, bench):
+    box = QMessageBox(QMessageBox.Icon.NoIcon, "t", "text", parent=live.window)
+    QTimer.singleShot(0, box, lambda: press(Qt.Key.Key_F12))
+    QTimer.singleShot(50, box, box.close)
+    box.exec()
+    assert bench.stops == 1
+
+
+def test_space_stops_only_while_something_moves(live, bench):
+    live.page.belief.setFocus()
+    press(Qt.Key.Key_Space)
+    assert bench.stops == 0
+    bench.set_state(RunState.RUNNING)
+    press(Qt.Key.Key_Space)
+    assert bench.stops == 1
+
+
+def test_space_stops_while_the_arm_moves_without_a_run(live, bench):
+    bench.devices["arm"].mode = RobotMode.MOVING
+    press(Qt.Key.Key_Space)
+    assert bench.stops == 1
+
+
+def test_space_is_a_space_in_a_text_field(live, bench):
+    bench.set_state(RunState.RUNNING)
+    live.page.run._seed.setFocus()
+    QApplication.processEvents()
+    press(Qt.Key.Key_Space)
+    assert bench.stops == 0
+
+
+def test_space_never_presses_a_button_while_moving(live, bench):
+    bench.set_state(RunState.RUNNING)
+    settle(live)
+    live.page.run.cancel.setFocus()
+    press(Qt.Key.Key_Space)
+    assert bench.stops == 1
+    assert bench.engine.orders == []
+
+
+def test_a_held_key_is_one_stop(live, bench):
+    from PySide6.QtCore import QEvent
+    from PySide6.QtGui import QKeyEvent
+
+    window = live.window.windowHandle()
+    for repeat in (False, True, True):
+        event = QKeyEvent(
+            QEvent.Type.KeyPress,
+            Qt.Key.Key_F12,
+            Qt.KeyboardModifier.NoModifier,
+            autorep=repeat,
+        )
+        QApplication.sendEvent(window, event)
+    assert bench.stops == 1
+
+
+def test_the_button_stops_on_the_press(live, bench, qtbot):
+    qtbot.mousePress(live.bar.stop, Qt.MouseButton.LeftButton)
+    assert bench.stops == 1
+    qtbot.mouseRelease(live.bar.stop, Qt.MouseButton.LeftButton)
+    assert bench.stops == 1
+
+
+def test_stop_needs_reset_before_the_next_start(live, bench, qtbot):
+    press(Qt.Key.Key_F12)
+    settle(live)
+    assert not live.page.run.start.isEnabled()
+    assert live.cards.codes == ("STOPPED",)
+    live.cards.card("STOPPED")._act()
+    assert bench.resets == 1
+    settle(live)
+    assert live.cards.codes == ()
+    assert live.page.run.start.isEnabled()
+
+
+def test_stop_before_a_bench_is_there_is_harmless(main, qtbot):
+    main.window.show()
+    qtbot.waitExposed(main.window)
+    QTest.keyClick(main.window.windowHandle(), Qt.Key.Key_F12)
+    assert main.cards.codes == ()
+
+
+def test_the_words_never_promise_an_emergency_stop(live):
+    assert "software" in live.bar.stop.text()
+    assert "emergency" not in live.bar.stop.text().lower()

@@ -1,0 +1,104 @@
+"""The pump stays within its budget whatever the load; ages are judged by the reader's clock."""
+
+from collections import deque
+
+import pytest
+from PySide6.QtCore import QObject
+
+from widgets.freshness import Age, Freshness
+from widgets.pump import BUDGET_S, Pump
+
+
+class Wound:
+    """A clock that the test winds."""
+
+    def __init__(self):
+        self.s = 0.0
+
+    def __call__(self):
+        return self.s
+
+
+@pytest.fixture
+def clock():
+    return Wound()
+
+
+def test_the_budget_is_checked_after_every_fact(qapp, clock):
+    owner = QObject()
+    facts = deque(range(100))
+
+    def pull():
+        if not facts:
+            return False
+        facts.popleft()
+        clock.s += 0.003
+        return True
+
+    pump = Pump(owner, pull, now_s=clock)
+    pump.tick()
+    assert len(facts) == 97  # 3 x 3 ms is over 8 ms: no fourth one
+    for _ in range(40):
+        pump.tick()
+    assert not facts
+
+
+def test_a_slow_view_does_not_starve_the_others(qapp, clock):
+    owner = QObject()
+    drawn = []
+
+    def view(name, cost_s):
+        def draw():
+            drawn.append(name)
+            clock.s += cost_s
+
+        return draw
+
+    pump = Pump(owner, lambda: False, now_s=clock)
+    for name, cost_s in (("slow", 0.030), ("a", 0.001), ("b", 0.001)):
+        pump.add(view(name, cost_s))
+    for _ in range(9):
+        pump.tick()
+        clock.s += 0.033
+    counts = {name: drawn.count(name) for name in ("slow", "a", "b")}
+    assert min(counts.values()) >= 4
+
+
+def test_a_light_load_draws_everything_every_tick(qapp, clock):
+    owner = QObject()
+    drawn = []
+    pump = Pump(owner, lambda: False, now_s=clock)
+    pump.add(lambda: drawn.append("a"))
+    pump.add(lambda: drawn.append("b"))
+    pump.tick()
+    pump.tick()
+    assert drawn == ["a", "b", "a", "b"]
+    assert BUDGET_S == 0.008
+
+
+def test_the_timer_ticks_and_stops(qtbot):
+    owner = QObject()
+    pump = Pump(owner, lambda: False)
+    pump.start()
+    qtbot.waitUntil(lambda: pump.ticks >= 2, timeout=2000)
+    pump.stop()
+
+
+def test_never_fresh_stale_gone():
+    fresh = Freshness()
+    assert fresh.judge(5.0) is Age.NEVER
+    assert fresh.note(1, 10.0)
+    assert fresh.judge(10.2) is Age.FRESH
+    assert fresh.judge(10.201) is Age.STALE
+    assert fresh.judge(12.01) is Age.GONE
+    assert fresh.age_s(12.0) == 2.0
+
+
+def test_an_unchanged_count_is_not_new():
+    fresh = Freshness()
+    assert not fresh.note(0, 1.0)
+    assert fresh.note(7, 1.0)
+    assert not fresh.note(7, 9.0)
+    assert fresh.judge(9.0) is Age.GONE
+    assert fresh.note(8, 9.0)
+    assert fresh.judge(9.0) is Age.FRESH

@@ -1,0 +1,100 @@
+"""Every token pair that is shown together can be read, with normal and with other colour vision."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from PySide6.QtGui import QColor
+
+from widgets.theme import CONTRAST, DARK, LIGHT, contrast_ratio
+
+THEMES = [DARK, LIGHT, CONTRAST]
+IDS = [t.name for t in THEMES]
+
+# Machado, Oliveira, Fernandes 2009, severity 1, applied to linear RGB.
+VISION = {
+    "normal": np.eye(3),
+    "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216],
+                   [-0.003882, -0.048116, 1.051998]],
+    "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413],
+                     [-0.011820, 0.042940, 0.968881]],
+    "tritanopia": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602],
+                   [0.004733, 0.691367, 0.303900]],
+}  # fmt: skip
+TO_XYZ = np.array([[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750],
+                   [0.0193339, 0.1191920, 0.9503041]])  # fmt: skip
+WHITE = np.array([0.95047, 1.0, 1.08883])
+
+
+def lab(colour: str, vision: str) -> np.ndarray:
+    c = QColor(colour)
+    rgb = np.array([c.redF(), c.greenF(), c.blueF()])
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    seen = np.clip(np.asarray(VISION[vision]) @ linear, 0, 1)
+    t = TO_XYZ @ seen / WHITE
+    f = np.where(t > 0.008856, np.cbrt(t), 7.787 * t + 16 / 116)
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+def smallest_distance(colours: list[str]) -> float:
+    return min(
+        float(np.linalg.norm(lab(a, vision) - lab(b, vision)))
+        for vision in VISION
+        for a, b in combinations(colours, 2)
+    )
+
+
+def ratio(tokens, one: str, other: str) -> float:
+    return contrast_ratio(tokens.colour(one), tokens.colour(other))
+
+
+def test_known_contrasts():
+    assert contrast_ratio(QColor("#000000"), QColor("#ffffff")) == pytest.approx(21.0)
+    assert contrast_ratio(QColor("#777777"), QColor("#ffffff")) == pytest.approx(4.48, abs=0.01)
+
+
+@pytest.mark.parametrize("tokens", THEMES, ids=IDS)
+@pytest.mark.parametrize("ground", ["bg", "panel", "raised", "hover"])
+@pytest.mark.parametrize("ink", ["text", "muted"])
+def test_text_can_be_read(tokens, ground, ink):
+    assert ratio(tokens, ink, ground) >= 4.5
+
+
+@pytest.mark.parametrize("tokens", THEMES, ids=IDS)
+def test_verdicts_and_traces_can_be_read(tokens):
+    for ink in ("axis_x", "axis_y", "axis_z"):
+        assert ratio(tokens, ink, "bg") >= 4.5
+        assert ratio(tokens, ink, "panel") >= 4.5
+    for ink in ("good", "bad"):
+        assert ratio(tokens, ink, "panel") >= 4.5
+
+
+@pytest.mark.parametrize("tokens", THEMES, ids=IDS)
+def test_borders_and_focus_are_seen(tokens):
+    for line in ("border", "focus"):
+        for ground in ("panel", "raised", "bg"):
+            assert ratio(tokens, line, ground) >= 3.0
+    assert ratio(tokens, "selection_text", "selection") >= 4.5
+
+
+@pytest.mark.parametrize("tokens", THEMES, ids=IDS)
+def test_pills_and_buttons_can_be_read(tokens):
+    for fill in ("pill_grey", "pill_blue", "pill_red", "stop", "reset"):
+        assert ratio(tokens, "on_dark", fill) >= 4.5
+    for fill in ("pill_green", "pill_yellow"):
+        assert ratio(tokens, "on_light", fill) >= 4.5
+    assert ratio(tokens, "panel", "text") >= 4.5  # the primary button
+
+
+@pytest.mark.parametrize("tokens", THEMES, ids=IDS)
+def test_axis_colours_differ_for_every_vision(tokens):
+    assert smallest_distance([tokens.axis_x, tokens.axis_y, tokens.axis_z]) >= 30
+
+
+def test_pills_differ_for_every_vision():
+    fills = [DARK.pill_grey, DARK.pill_blue, DARK.pill_green, DARK.pill_yellow, DARK.pill_red]
+    assert smallest_distance(fills) >= 20
+
+
+def test_the_distance_test_can_fail():
+    assert smallest_distance(["#1B5E20", "#B3261E"]) < 10

@@ -88,7 +88,7 @@ def _arranged(points: bytes, pitch_mm: float) -> FaceLattice:
     """Arrange once: every probe of a run has the same face."""
     points_mm = np.frombuffer(points, dtype=np.float64).reshape(-1, 2)
     corner = points_mm.min(axis=0)
-    steps = np.concatenate([np.diff(np.unique(points_mm[:, axis])) for axis in (0, 1)])
+    steps = np.diff(np.sort(points_mm, axis=0), axis=0)
     steps = steps[steps > SNAP]
     pitch = float(steps.min()) if len(steps) else pitch_mm
     place = (points_mm - corner) / pitch

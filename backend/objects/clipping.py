@@ -67,15 +67,16 @@ def _inside(edges_of: FloatArray, within: FloatArray) -> Cut:
     """Cut every edge of one polygon to its stretch inside the other."""
     start, normal = edge_normals(within)
     reach = (start * normal).sum(axis=-1)
-    depth = reach[..., None, :] - edges_of @ np.swapaxes(normal, -1, -2)
-    after = np.roll(depth, -1, axis=-2)
-    whole = depth.min(axis=-1) >= 0.0
-    whole &= np.roll(whole, -1, axis=-1)
+    round_trip = np.concatenate([edges_of, edges_of[..., :1, :]], axis=-2)
+    depths = reach[..., None, :] - round_trip @ np.swapaxes(normal, -1, -2)
+    depth, after = depths[..., :-1, :], depths[..., 1:, :]
+    inside = depths.min(axis=-1) >= 0.0
+    whole = inside[..., :-1] & inside[..., 1:]
     low, high = np.zeros(whole.shape), whole.astype(np.float64)
     # Only the few edges that are neither inside nor behind one half-plane need the full cut.
     doubtful = (np.maximum(depth, after).min(axis=-1) >= 0.0) & ~whole
     low[doubtful], high[doubtful] = _stretch(depth[doubtful], after[doubtful])
-    along = np.roll(edges_of, -1, axis=-2) - edges_of
+    along = round_trip[..., 1:, :] - edges_of
     kept = (high - low) * np.hypot(along[..., 0], along[..., 1]) > EDGE_TOLERANCE_MM
     low, high = np.where(kept, low, 0.0), np.where(kept, high, 0.0)
     return Cut(edges_of + low[..., None] * along, edges_of + high[..., None] * along, kept)

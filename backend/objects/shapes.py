@@ -96,7 +96,7 @@ def turned(points_mm: FloatArray, yaw_rad: float) -> FloatArray:
 
 def edge_normals(polygon_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return start points and outward unit normals, both (..., k, 2), of a ccw polygon's edges."""
-    along = np.roll(polygon_mm, -1, axis=-2) - polygon_mm
+    along = np.concatenate([polygon_mm[..., 1:, :], polygon_mm[..., :1, :]], axis=-2) - polygon_mm
     normal = np.stack([along[..., 1], -along[..., 0]], axis=-1)
     length = np.hypot(along[..., 0], along[..., 1])[..., None]
     return polygon_mm, normal / np.where(length > 0.0, length, 1.0)

@@ -1,0 +1,63 @@
+"""Documents keep their word: links lead somewhere, examples name what exists, JSON is JSON."""
+
+import ast
+import importlib
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from backend.__main__ import VERBS
+from backend.verbs.check import Check
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+COMMANDS = (ROOT / "docs" / "command-line.md").read_text("utf-8")
+
+
+def _name(path):
+    return str(path.relative_to(ROOT))
+
+
+def _blocks(text, language):
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=_name)
+def test_links_lead_somewhere(path):
+    links = re.findall(r"\]\(([^)#\s]+)", path.read_text("utf-8"))
+    local = [link for link in links if "://" not in link and not link.startswith("mailto:")]
+    assert [link for link in local if not (path.parent / link).exists()] == []
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=_name)
+def test_examples_name_what_exists(path):
+    for block in _blocks(path.read_text("utf-8"), "python"):
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.ImportFrom) and node.module.startswith(("backend", "widgets")):
+                module = importlib.import_module(node.module)
+                assert [a.name for a in node.names if not hasattr(module, a.name)] == []
+
+
+def test_json_examples_are_json():
+    blocks = _blocks(COMMANDS, "json")
+    assert len(blocks) >= 5
+    for block in blocks:
+        json.loads(block)
+
+
+def test_the_doctor_example_has_the_fields_of_a_check():
+    (example,) = [b for b in map(json.loads, _blocks(COMMANDS, "json")) if "checks" in b]
+    Check(**example["checks"][0])
+
+
+def test_make_targets_in_the_readme_exist():
+    readme, makefile = (ROOT / "README.md").read_text(), (ROOT / "Makefile").read_text()
+    named = set(re.findall(r"\bmake ([a-z]+)", readme))
+    assert {t for t in named if not re.search(rf"^{t}:", makefile, re.MULTILINE)} == set()
+
+
+def test_every_verb_stands_in_the_readme():
+    readme = (ROOT / "README.md").read_text()
+    assert [verb for verb in VERBS if not re.search(rf"`[^`\n]*\b{verb}\b", readme)] == []

@@ -25,7 +25,7 @@ AIR_MARGIN = 20
 """Samples in air beyond what the running baseline needs."""
 AIR_MM, AIR_S = 3.0, 1.5
 """Height and time in air before the descent (where a slipped gel settles)."""
-FIRST_BLOCK, NEXT_BLOCK, LONGEST = 15, 5, 80
+FIRST_BLOCK, NEXT_BLOCK, LONGEST = 15, 3, 60
 """Cycles of descent solved before looking for contact, between looks, and at most."""
 
 
@@ -33,7 +33,9 @@ FIRST_BLOCK, NEXT_BLOCK, LONGEST = 15, 5, 80
 class Pressed:
     """B presses. ``onset_s`` (B,) back-dated; ``detected`` (B,): contact was found in time.
 
-    XX"""
+    ``touch_s`` (B,): when the faces really met; ``ticks_s`` (B, 20); ``air`` (B, 14): values before
+    the descent; ``state``: at the end of the hold.
+    """
 
     timeline: Timeline
     onset_s: FloatArray
@@ -90,7 +92,7 @@ def press(
         force = _sampled_force(descent, noise_n, rule, cycle_s)
         over = over_baseline(force, rule)
         found = detect(over, rule)
-        if (found >= 0).all() or end >= LONGEST:
+        if ((found >= 0) | (state.cells.count == 0)).all() or end >= LONGEST:
             break
         end = min(end + NEXT_BLOCK, LONGEST)
     air = air_samples(rule)
@@ -126,7 +128,7 @@ def _in_air(
     _, _, u_z = surface_motion(state.cells, settled.q)
     gap = np.where(state.cells.normal > 0.0, u_z - state.cells.gap_mm, np.inf).min(axis=1)
     touch_s = (np.where(np.isfinite(gap), gap, AIR_MM) - AIR_MM) / speed_mm_s
-    start_s = cycle_s * np.floor(touch_s / cycle_s)
+    start_s = cycle_s * np.floor(touch_s / cycle_s + 1e-9)
     return _Descent(
         [settled], [packed(solved)], [-phase_s], touch_s - start_s, speed_mm_s * start_s
     )

@@ -45,15 +45,18 @@ class FingerCamera:
         self._start_share = settings.lost_share / mean_length
         self._aim()
 
-    def shots(self, start_us: int, end_us: int, sight: Sight) -> list[Shot]:
-        """Return the pictures taken in ``start_us < t <= end_us``."""
+    def shots(
+        self, start_us: int, end_us: int, sight: Sight, *, watched: bool = True
+    ) -> list[Shot]:
+        """Return the pictures taken in ``start_us < t <= end_us``; none unless ``watched``."""
         taken: list[Shot] = []
         while self._due_us <= end_us:
             t_us, sequence = self._due_us, self._next
             self._next += 1
             self._aim()
             hidden = self._step_noise(t_us)
-            if self._rng.random() < self._settings.drop_share or t_us <= start_us:
+            dropped = self._rng.random() < self._settings.drop_share
+            if dropped or t_us <= start_us or not watched:
                 continue
             share = (t_us - start_us) / (end_us - start_us)
             field = sight.before_px + share * (sight.after_px - sight.before_px)

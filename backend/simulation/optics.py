@@ -26,6 +26,8 @@ WIDTH_PX, HEIGHT_PX = 320, 240
 SMEAR_RADIUS_PX = 13.0
 _REACH_PX = 15
 """Half width of the patch drawn round a dot: the mask has faded to 0.1 % there."""
+_FAR_PX2 = 1600.0
+"""Squared distances are cut here, where a dot has long faded, so that exp never overflows."""
 _CONTRAST_SPREAD = 0.05
 """Spread of the dots' darkness (real cores range from 16 to 67 levels)."""
 _BANK_FACTOR = 2
@@ -82,7 +84,7 @@ class FingerOptics:
         np.multiply((2.0 * b * dy)[:, :, None], dx[:, None, :], out=mask)
         mask += (a * dx * dx)[:, None, :]
         mask += (c * dy * dy)[:, :, None]
-        np.maximum(mask, 0.0, out=mask)
+        np.clip(mask, 0.0, _FAR_PX2, out=mask)
         np.sqrt(mask, out=mask)
         mask *= np.float32(1.0 / self.look.edge_px)
         mask -= np.float32(self.look.radius_px / self.look.edge_px)

@@ -6,7 +6,7 @@ which they came: the same scene and commands give the same bytes however time is
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,8 +107,8 @@ class World:
 
     # -- time -------------------------------------------------------------------------------------
 
-    def step(self) -> Sensed:
-        """Advance by one cycle and return what the sensors saw."""
+    def step(self, watched: Collection[Finger] = FINGERS) -> Sensed:
+        """Advance by one cycle and return what was sensed; pictures of ``watched`` fingers only."""
         start_us, end_us = self.now_us, self.now_us + self.cycle_us
         start_s, dt_s = start_us * 1e-6, self.cycle_us * 1e-6
         before = self._load(self._values)
@@ -128,7 +128,10 @@ class World:
         t_s, wrench = self._wrist.samples(start_us, end_us, strain)
         shots = {
             finger: self._cameras[finger].shots(
-                start_us, end_us, Sight(field_before[i], self._field_px[i], self._bias_px(i))
+                start_us,
+                end_us,
+                Sight(field_before[i], self._field_px[i], self._bias_px(i)),
+                watched=finger in watched,
             )
             for i, finger in enumerate(FINGERS)
         }

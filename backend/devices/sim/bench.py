@@ -12,7 +12,7 @@ from backend.config.simulation import SimulationSettings
 from backend.core.clock import HandClock
 from backend.core.flow import FINGERS, Finger, FloatArray, TactileFrame
 from backend.core.stream import SampleStream, Stream
-from backend.devices.protocols import Device
+from backend.devices.protocols import Device, DeviceState
 from backend.devices.sim.arm import SimArm
 from backend.devices.sim.force_torque import SimForceTorque
 from backend.devices.sim.gripper import SimGripper
@@ -99,7 +99,8 @@ class SimulatedBench:
         """Move time on by ``step_us``; the world moves at the boundaries of its cycles."""
         end_us = self.clock.now_us + step_us
         while self._world.now_us + self._world.cycle_us <= end_us:
-            sensed = self._world.step()
+            watched = [f for f in FINGERS if self.tactile[f].state is DeviceState.READY]
+            sensed = self._world.step(watched)
             self.clock.wind(sensed.end_us - self.clock.now_us)
             self._deliver(sensed)
         self.clock.wind(end_us - self.clock.now_us)

@@ -18,7 +18,8 @@ from backend.sensing.detector import HEIGHT_PX, WIDTH_PX, Blobs
 Cell = tuple[int, int]
 _REACH = 0.38
 _PITCH_RANGE_PX = (22.0, 44.0)
-_LARGEST_SEEDS = 12
+_USUAL_PITCH_PX = 32.0
+_MOST_SEEDS = 12
 _FEWEST_PER_LINE = 3
 _MOST_MISSING = 12
 _STEPS: tuple[Cell, ...] = ((0, 1), (0, -1), (1, 0), (-1, 0))
@@ -77,16 +78,7 @@ def order_grid(blobs: Blobs) -> OrderedDots:
     count = len(blobs.whole)
     if count < 2 * _FEWEST_PER_LINE:
         return OrderedDots(NO_GRID, nowhere)
-    gap = np.linalg.norm(blobs.centre_px[:, None] - blobs.centre_px[None], axis=-1)
-    np.fill_diagonal(gap, np.inf)
-    pitch_px = float(np.clip(np.median(gap.min(axis=1)), *_PITCH_RANGE_PX))
-    best: dict[Cell, int] = {}
-    for seed in _seeds(blobs):
-        grown = _trim(_grow(blobs.centre_px, int(seed), pitch_px))
-        if len(grown) > len(best):
-            best = grown
-        if len(best) >= MARKERS:
-            break
+    best, pitch_px = _best_lattice(blobs)
     report, first = _report(best, blobs.whole, pitch_px)
     if not report.usable:
         return OrderedDots(report, nowhere)
@@ -96,11 +88,34 @@ def order_grid(blobs: Blobs) -> OrderedDots:
     return OrderedDots(report, nowhere)
 
 
+def _best_lattice(blobs: Blobs) -> tuple[dict[Cell, int], float]:
+    """Return the largest lattice that grows from any seed, and its pitch in px."""
+    gap = np.linalg.norm(blobs.centre_px[:, None] - blobs.centre_px[None], axis=-1)
+    np.fill_diagonal(gap, np.inf)
+    nearest_px = float(np.clip(np.median(gap.min(axis=1)), *_PITCH_RANGE_PX))
+    best: dict[Cell, int] = {}
+    best_pitch_px = nearest_px
+    # With many decoys the nearest dot is not a neighbour: then try the pitch that gels have.
+    for pitch_px in (nearest_px, _USUAL_PITCH_PX):
+        tried: set[int] = set()
+        for seed in map(int, _seeds(blobs)):
+            if seed in tried:
+                continue  # it would grow the same lattice again
+            grown = _grow(blobs.centre_px, seed, pitch_px)
+            tried |= set(grown.values())
+            trimmed = _trim(grown)
+            if len(trimmed) > len(best):
+                best, best_pitch_px = trimmed, pitch_px
+        if len(best) >= MARKERS or abs(nearest_px - _USUAL_PITCH_PX) < 0.15 * _USUAL_PITCH_PX:
+            break
+    return best, best_pitch_px
+
+
 def _seeds(blobs: Blobs) -> NDArray[np.intp]:
     """Return whole blobs from the middle of the image outwards."""
     middle = np.array([WIDTH_PX / 2, HEIGHT_PX / 2])
     away = np.linalg.norm(blobs.centre_px - middle, axis=1) + 1e6 * ~blobs.whole
-    return np.argsort(away, kind="stable")[:_LARGEST_SEEDS]
+    return np.argsort(away, kind="stable")[:_MOST_SEEDS]
 
 
 def _grow(dots: FloatArray, seed: int, pitch_px: float) -> dict[Cell, int]:

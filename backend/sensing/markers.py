@@ -131,8 +131,7 @@ class MarkerTracker:
         if not ordered.report.usable:
             return None
         self._locked = True
-        self._adopt(blobs, ordered.index)
-        return ordered.index
+        return self._adopt(blobs, ordered.index)
 
     def _reordered(self, blobs: Blobs, owner: NDArray[np.intp]) -> NDArray[np.intp]:
         """Take the order from geometry if it is certain, else keep ``owner``."""
@@ -143,20 +142,24 @@ class MarkerTracker:
         self.grid = ordered.report
         if (ordered.index == owner).all():
             return owner
-        self._adopt(blobs, ordered.index)
-        return ordered.index
+        return self._adopt(blobs, ordered.index)
 
-    def _adopt(self, blobs: Blobs, index: NDArray[np.intp]) -> None:
-        """Start anew from the dots at ``index``."""
-        seen = index >= 0
-        place = np.zeros((MARKERS, 2))
-        place[seen] = blobs.centre_px[index[seen]]
+    def _adopt(self, blobs: Blobs, index: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Start anew from the dots at ``index``; returns it without those that are no markers."""
+        self._looks = UsualLooks()
+        found = np.flatnonzero(index >= 0)
+        chosen = index[found]
+        centres = self._detector.refine(blobs.centre_px[chosen], blobs.area_px[chosen])
+        looks = np.column_stack([centres.mass, blobs.area_px[chosen]])
+        good = self._looks.recognise(found, looks, np.ones(len(found), dtype=bool))
+        place, seen = np.zeros((MARKERS, 2)), np.zeros(MARKERS, dtype=bool)
+        place[found], seen[found] = centres.position_px, good
         rest = self._reference.position_px if self._reference else _straight_grid()
         self._position = rest + self._hidden.carry(place - rest, seen)
         if self._reference is None:
             self._hidden = HiddenMarkers(self._position)
         self._was_seen = np.zeros(MARKERS, dtype=bool)
-        self._looks = UsualLooks()
+        return np.where(seen, index, _NO_BLOB)
 
     def _centre(
         self, blobs: Blobs, owner: NDArray[np.intp], t_s: float

@@ -10,10 +10,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
 import numpy as np
+
+from backend.core.flow import TactileFrame
+from backend.sensing.markers import MarkerTracker
 
 GELSIGHT = Path(__file__).resolve().parents[2] / "data" / "gelsight"
 REST_FRAME = GELSIGHT / "nocontact_train_sensor.png"
@@ -90,12 +94,17 @@ def true_places(rest: np.ndarray, field: Field, a: float) -> np.ndarray:
 
 def warp(image: np.ndarray, field: Field, a: float) -> np.ndarray:
     """Inverse warp: the value at q comes from q + U(q)."""
-    rows, cols = image.shape[:2]
-    q = np.stack(np.meshgrid(np.arange(cols), np.arange(rows)), axis=-1).astype(float)
-    source = (q + field(q, a)).astype(np.float32)
+    source = _source(field, a)
     return cv2.remap(
         image, source[..., 0], source[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
     )
+
+
+@lru_cache(maxsize=256)
+def _source(field: Field, a: float) -> np.ndarray:
+    rows, cols = 240, 320
+    q = np.stack(np.meshgrid(np.arange(cols), np.arange(rows)), axis=-1).astype(float)
+    return (q + field(q, a)).astype(np.float32)
 
 
 def plain_detector(image: np.ndarray) -> np.ndarray:
@@ -147,7 +156,7 @@ def shots(
     """Yield the frames of a case; ``noise`` is drawn from in order."""
     image, rest = rest_dots()
     image = image if base is None else base
-    for k, a in enumerate(time_line(case.amplitude) if line is None else line):
+    for k, a in enumerate(map(float, time_line(case.amplitude) if line is None else line)):
         if case.fault == "drop" and 30 <= k <= 37:
             continue
         truth = true_places(rest, field, a)
@@ -202,7 +211,21 @@ def score(shots_of_case: Iterator[Shot], follow: Follow) -> Score:
     )
 
 
-def known_truth(follower: Callable[[], Follow]) -> dict[Case, Score]:
+def tracker_follower() -> Follow:
+    """A fresh live tracker at 25 frames per second."""
+    tracker = MarkerTracker("left")
+    sequence = 0
+
+    def follow(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        nonlocal sequence
+        field = tracker.track(TactileFrame("left", sequence, sequence / 25, image))
+        sequence += 1
+        return field.position_px, field.state
+
+    return follow
+
+
+def known_truth(follower: Callable[[], Follow] = tracker_follower) -> dict[Case, Score]:
     """Score a fresh tracker on every case; one noise stream over all cases, in order."""
     noise = np.random.Generator(np.random.PCG64(0))
     return {case: score(shots(case, noise), follower()) for case in CASES}

@@ -1,0 +1,125 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from backend.core.flow import MarkerField, MarkerState, TactileFrame
+from backend.sensing.markers import MarkerTracker
+from backend.sensing.reference import take_reference
+from tests.backend.sensing.known_truth import (
+    Case,
+    bump_field,
+    rest_dots,
+    shear_field,
+    shots,
+    true_places,
+    warp,
+)
+
+COVERED = np.array([2 * 9 + 5, 2 * 9 + 6, 2 * 9 + 7, 3 * 9 + 3, 3 * 9 + 4, 3 * 9 + 8])
+
+
+def frame(image: np.ndarray, k: int) -> TactileFrame:
+    return TactileFrame("left", k, k / 25, image)
+
+
+@pytest.fixture(scope="module")
+def rest() -> tuple[np.ndarray, np.ndarray]:
+    return rest_dots()
+
+
+def smeared(line: np.ndarray, occluded: range) -> list[MarkerField]:
+    tracker = MarkerTracker("left")
+    noise = np.random.default_rng(7)
+    moves = shots(Case(0.0, "occl"), noise, line=line, occluded=occluded)
+    return [tracker.track(frame(shot.image, shot.k)) for shot in moves]
+
+
+def test_states_go_from_seen_through_inferred_to_lost_and_back() -> None:
+    fields = smeared(np.zeros(75), range(10, 70))
+    state = np.stack([field.state for field in fields])[:, COVERED]
+    # Frame 9 is the last one seen; lost from more than 2 s after it.
+    assert (state[:10] == MarkerState.SEEN).all()
+    assert (state[11:60] == MarkerState.INFERRED).all()
+    assert (state[60:70] == MarkerState.LOST).all()
+    assert (state[71:] == MarkerState.SEEN).all()
+    assert fields[30].quality == pytest.approx(57 / 63)
+    assert all(np.isfinite(field.position_px).all() for field in fields)
+    others = np.delete(np.stack([field.state for field in fields]), COVERED, axis=1)
+    assert (others == MarkerState.SEEN).all()
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.zeros((240, 320, 3), np.uint8),
+        np.full((240, 320, 3), 255, np.uint8),
+        np.random.default_rng(0).integers(0, 255, (240, 320, 3)).astype(np.uint8),
+        np.zeros((240, 320), np.uint8),
+        np.zeros((0, 0, 3), np.uint8),
+        np.zeros((480, 640, 3), np.uint8),
+        np.zeros((240, 320, 3), np.float32),
+    ],
+    ids=["black", "white", "noise", "grey", "empty", "large", "float"],
+)
+def test_a_bad_image_has_quality_zero_and_leaves_no_trace(
+    image: np.ndarray, rest: tuple[np.ndarray, np.ndarray]
+) -> None:
+    good, _ = rest
+    tracker = MarkerTracker("left")
+    before = tracker.track(frame(good, 0))
+    bad = tracker.track(frame(image, 1))
+    after = tracker.track(frame(good, 2))
+    assert bad.quality == pytest.approx(0.0, abs=0.05)
+    assert (bad.state != MarkerState.SEEN).sum() >= 60
+    np.testing.assert_array_equal(after.state, MarkerState.SEEN)
+    np.testing.assert_allclose(after.position_px, before.position_px, atol=0.02)
+    assert MarkerTracker("left").track(frame(image, 0)).quality == 0.0
+
+
+@pytest.mark.parametrize("amplitude", [15.0, 25.0, 36.0])
+def test_one_jump_of_more_than_reach_keeps_identities(
+    amplitude: float, rest: tuple[np.ndarray, np.ndarray]
+) -> None:
+    image, dots = rest
+    tracker = MarkerTracker("left")
+    tracker.track(frame(image, 0))
+    for k in range(1, 8):
+        field = tracker.track(frame(warp(image, shear_field, amplitude), k))
+    truth = true_places(dots, shear_field, amplitude)
+    assert np.linalg.norm(field.position_px - truth, axis=1).max() < 0.8
+
+
+def test_displacement_counts_from_the_reference_and_not_before(
+    rest: tuple[np.ndarray, np.ndarray],
+) -> None:
+    image, dots = rest
+    tracker = MarkerTracker("right")
+    still = [tracker.track(TactileFrame("right", k, k / 25, image)) for k in range(10)]
+    assert (still[-1].displacement_px == 0).all()
+    assert tracker.reference is None
+    tracker.set_reference(take_reference(still))
+    moved = tracker.track(TactileFrame("right", 10, 0.4, warp(image, bump_field, 6.0)))
+    truth = true_places(dots, bump_field, 6.0) - dots
+    assert moved.finger == "right"
+    assert np.sqrt(((moved.displacement_px - truth) ** 2).sum(axis=1).mean()) < 0.05
+    assert moved.residual_px > 0.5
+    np.testing.assert_allclose(
+        moved.displacement_px, moved.position_px - still[0].position_px, atol=1e-9
+    )
+
+
+def test_dots_hidden_at_the_start_are_inferred_once_the_grid_is_certain() -> None:
+    fields = smeared(np.zeros(20), range(10))
+    _, dots = rest_dots()
+    assert (fields[0].state[COVERED] != MarkerState.SEEN).all()
+    away = np.linalg.norm(fields[0].position_px[COVERED] - dots[COVERED], axis=1)
+    assert away.max() < 3.0
+    assert (fields[-1].state == MarkerState.SEEN).all()
+    assert np.linalg.norm(fields[-1].position_px - dots, axis=1).max() < 0.8
+
+
+def test_the_image_is_left_as_it_was(rest: tuple[np.ndarray, np.ndarray]) -> None:
+    image = rest[0].copy()
+    MarkerTracker("left").track(frame(image, 0))
+    np.testing.assert_array_equal(image, rest_dots()[0])

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from backend.core.faults import InputError
 from backend.core.flow import FloatArray
 from backend.objects.shapes import Outline
 from backend.objects.surface import overlap_area_mm2
@@ -33,7 +34,7 @@ def draw_offset(
 ) -> FloatArray:
     """Return (count, 2) offsets in mm, uniform over all with enough overlap.
 
-    Raises ValueError if the two faces can hardly overlap that much.
+    Raises ``InputError`` if the two faces can hardly overlap that much.
     """
     reach = np.add(face.half_extents_mm, bottom.half_extents_mm)
     found = np.empty((0, 2))
@@ -43,7 +44,11 @@ def draw_offset(
         tried = rng.uniform(-reach, reach, size=(max(8, min(count, 256)), 2))
         area = overlap_area_mm2(face, tried, bottom, segments=COARSE_SEGMENTS)
         found = np.concatenate([found, tried[area >= min_overlap_mm2]])
-    raise ValueError("the faces hardly overlap: no offset found")
+    raise InputError(
+        f"The two faces hardly overlap by {min_overlap_mm2:g} mm².",
+        "piece and bottom",
+        "Choose larger faces.",
+    )
 
 
 def draw_start(
@@ -56,17 +61,18 @@ def draw_start(
     """Return an offset of ``piece`` from the topmost bottom at which the whole stack would fall.
 
     Uniform over offsets in mm (frame ``O``) with overlap of at least ``min_overlap_mm2`` and a
-    margin of the stack of at most ``margin_mm``. Raises ValueError if the bottoms carry nothing,
-    do not stand by themselves, or no such offset is found.
+    margin of the stack of at most ``margin_mm``. Raises ``InputError`` if the bottoms carry
+    nothing, do not stand by themselves, or no such offset is found.
     """
     carrier = bottoms.bodies[-1]
+    where = f"{piece.name} on {carrier.name}"
     if carrier.upper is None:
-        raise ValueError("the topmost bottom carries nothing")
+        raise InputError(f"'{carrier.name}' carries nothing.", where, "Choose another bottom.")
     if not judge(bottoms).stands:
-        raise ValueError("the bottoms do not stand by themselves")
+        raise InputError("The bottoms do not stand by themselves.", where, "Move them.")
     for _ in range(MAX_ROUNDS):
         x, y = draw_offset(rng, piece.lower, carrier.upper, 1, min_overlap_mm2)[0].tolist()
         at = (carrier.at_mm[0] + x, carrier.at_mm[1] + y)
         if judge(bottoms.with_top(replace(piece, at_mm=at))).margin_mm <= margin_mm:
             return x, y
-    raise ValueError("no unstable start found")
+    raise InputError("No unstable start was found.", where, "Choose another bottom.")

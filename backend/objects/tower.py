@@ -8,9 +8,11 @@ sufficient for a serial stack under gravity with enough friction.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
+from backend.core.faults import InputError
 from backend.core.flow import FloatArray
 from backend.objects import clipping
 from backend.objects.shapes import Outline, Point, turned
@@ -49,8 +51,8 @@ class Body:
 
 @dataclass(frozen=True, slots=True)
 class Tower:
-    """Bodies from the lowest up. Raises ValueError if one above the lowest is fixed, if one below
-    the topmost carries nothing, or if there is none.
+    """Bodies from the lowest up. Raises ``InputError`` if one above the lowest is fixed or one
+    below the topmost carries nothing, ValueError if there is none.
     """
 
     bodies: tuple[Body, ...]
@@ -58,10 +60,20 @@ class Tower:
     def __post_init__(self) -> None:
         if not self.bodies:
             raise ValueError("a tower needs a body")
-        if any(body.fixed for body in self.bodies[1:]):
-            raise ValueError("only the lowest body of a tower can be fixed")
-        if any(body.upper is None for body in self.bodies[:-1]):
-            raise ValueError("a body without an upper face carries nothing")
+        for below, body in pairwise(self.bodies):
+            where = f"{body.name} on {below.name}"
+            if body.fixed:
+                raise InputError(
+                    f"'{body.name}' is fixed to the table: nothing can lie below it.",
+                    where,
+                    "Put it lowest.",
+                )
+            if below.upper is None:
+                raise InputError(
+                    f"'{below.name}' carries nothing: it has no flat upper end.",
+                    where,
+                    "Choose another piece below.",
+                )
 
     def with_top(self, body: Body) -> Tower:
         """Return the tower with one more body on top."""

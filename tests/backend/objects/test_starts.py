@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from backend.core.faults import InputError
 from backend.objects import shapes
 from backend.objects.catalogue import load_catalogue
 from backend.objects.starts import draw_offset, draw_start
@@ -59,11 +60,11 @@ def test_impossible_starts_are_refused() -> None:
     catalogue = load_catalogue()
     pot, short = catalogue.piece("pot").body(), catalogue.piece("short").body()
     rng = np.random.default_rng(0)
-    with pytest.raises(ValueError, match="by themselves"):
+    with pytest.raises(InputError, match="by themselves"):
         draw_start(rng, pot, Tower((short, replace(short, at_mm=(12.0, 0.0)))))
-    with pytest.raises(ValueError, match="carries nothing"):
+    with pytest.raises(InputError, match="carries nothing"):
         draw_start(rng, pot, Tower((pot,)))
-    with pytest.raises(ValueError, match="hardly overlap"):
+    with pytest.raises(InputError, match="hardly overlap"):
         draw_offset(rng, pot.lower, short.lower, 1, min_overlap_mm2=200.0)
-    with pytest.raises(ValueError, match="no unstable start"):
+    with pytest.raises(InputError, match="No unstable start"):
         draw_start(rng, pot, Tower((short,)), min_overlap_mm2=170.0)

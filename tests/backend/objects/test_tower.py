@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapely.geometry import Point, Polygon
 
+from backend.core.faults import InputError
 from backend.objects import shapes
 from backend.objects.tower import Body, Tower, judge
 
@@ -133,7 +134,7 @@ def test_impossible_towers_are_refused() -> None:
     body = cylinder("a", 20.0, 30.0, 30.0)
     with pytest.raises(ValueError, match="needs a body"):
         Tower(())
-    with pytest.raises(ValueError, match="fixed"):
+    with pytest.raises(InputError, match="fixed"):
         Tower((body, replace(body, fixed=True)))
-    with pytest.raises(ValueError, match="carries nothing"):
+    with pytest.raises(InputError, match="carries nothing"):
         Tower((replace(body, upper=None),)).with_top(body)

@@ -122,7 +122,12 @@ class TrainingSettings(Settings):
     layers: Annotated[int, Field(ge=1)] = 2
     """LSTM layers [P]."""
     learning_rate: Positive = 1e-3
-    epochs: Annotated[int, Field(ge=1)] = 30
+    schedule: Literal["cosine", "constant"] = "cosine"
+    """Rate over the epochs [U]: falling to zero gave a lower validation loss (0.377 in 14 epochs)
+    than a constant one (0.400, best of 20) on 1,500 pot probes."""
+    epochs: Annotated[int, Field(ge=1)] = 16
+    patience: Annotated[int, Field(ge=1)] = 8
+    """Stop after this many epochs without a lower validation loss [U]."""
     batch: Annotated[int, Field(ge=1)] = 64
     validation_share: Probability = 0.1
     seed: Annotated[int, Field(ge=0)] = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -19,6 +20,8 @@ from backend.learning.model import ARCH
 from backend.learning.resume import forget_state, load_state, resume_path, save_state
 from backend.learning.training import Trainer, fingerprint
 
+DIVERGED_NATS = 2 * math.log(2)
+"""Twice the loss of always answering 0.5."""
 Tell = Callable[[Loaded | Epoch | Finished | Cancelled], None]
 
 
@@ -45,9 +48,15 @@ def fit(job: TrainingJob, tell: Tell, cancelled: Callable[[], bool]) -> None:
     for report in trainer.epochs(cancelled):
         save_state(state, trainer, data)
         tell(Epoch(**dataclasses.asdict(report)))
-    if trainer.done < job.settings.epochs:
+    if not trainer.finished:
         tell(Cancelled(done=trainer.done, state=state))
         return
+    if not trainer.best_loss < DIVERGED_NATS:
+        raise InputError(
+            "The training diverged: its loss never fell below that of guessing.",
+            "learning_rate",
+            "Choose a smaller --learning-rate.",
+        )
     card = save_checkpoint(job.out, trainer.best_model(), _card(rows, trainer, data))
     forget_state(state)
     best = trainer.best_figures

@@ -47,12 +47,11 @@ def save_state(path: Path, trainer: Trainer, data: str) -> None:
 def load_state(path: Path, trainer: Trainer, data: str) -> None:
     """Bring ``trainer`` to where the saved training stopped; raises ``InputError`` if it differs.
 
-    More epochs than before are allowed; every other setting and the data must be the same.
+    Data and settings must be the same: the learning rate depends on the number of epochs.
     """
     try:
         facts, tensors = _read(path)
-        wanted = {**trainer.settings.model_dump(), "epochs": 0}
-        if {**facts["settings"], "epochs": 0} != wanted or facts["data"] != data:
+        if facts["settings"] != trainer.settings.model_dump() or facts["data"] != data:
             raise InputError("The saved training used other data or settings.", str(path), FIX)
         _restore(trainer, tensors)
         trainer.done, trainer.best_epoch = int(facts["done"]), int(facts["best_epoch"])

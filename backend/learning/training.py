@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -69,12 +70,18 @@ class Trainer:
 
     def epochs(self, cancelled: Callable[[], bool] = lambda: False) -> Iterator[EpochReport]:
         """Run the remaining epochs; stops without a report when ``cancelled`` says so."""
-        while self.done < self.settings.epochs:
+        while not self.finished:
             train_loss = self._train_epoch(cancelled)
             if train_loss is None:
                 return
             self.done += 1
             yield self._validate(train_loss)
+
+    @property
+    def finished(self) -> bool:
+        """Whether all epochs are done, or none got better for as long as ``patience`` says."""
+        waited = self.done - self.best_epoch
+        return self.done >= self.settings.epochs or waited >= self.settings.patience
 
     def best_model(self) -> PatchNet:
         """Return a model with the weights of the best epoch, in evaluation mode."""
@@ -85,6 +92,7 @@ class Trainer:
     def _train_epoch(self, cancelled: Callable[[], bool]) -> float | None:
         rng = np.random.default_rng([self.settings.seed, self.done])
         order = torch.from_numpy(rng.permutation(self.split.train))
+        self._set_rate()
         self.model.train()
         total = 0.0
         for batch in torch.split(order, self.settings.batch):
@@ -96,6 +104,14 @@ class Trainer:
             self.optimiser.step()
             total += float(loss.detach()) * len(batch)
         return total / len(order)
+
+    def _set_rate(self) -> None:
+        settings = self.settings
+        rate = settings.learning_rate
+        if settings.schedule == "cosine":
+            rate *= 0.5 * (1 + math.cos(math.pi * self.done / settings.epochs))
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate
 
     def _validate(self, train_loss: float) -> EpochReport:
         held_out = torch.from_numpy(self.split.held_out)

@@ -115,7 +115,9 @@ def test_one_grip_alone_cannot_be_split() -> None:
 
 def test_eight_episodes_are_learnt_by_heart() -> None:
     data = rows(8, per_grip=1)
-    settings = TrainingSettings(hidden=32, epochs=60, learning_rate=0.01, batch=7)
+    settings = TrainingSettings(
+        hidden=32, epochs=60, patience=60, learning_rate=0.01, batch=7, schedule="constant"
+    )
     trainer = Trainer(data, settings)
     reports = list(trainer.epochs())
     assert reports[0].train_loss == pytest.approx(math.log(2), abs=0.05)
@@ -181,3 +183,35 @@ def test_fingerprint_sees_every_target() -> None:
         data.bottom, data.grip_id, data.mounting_id, data.labels,
     )  # fmt: skip
     assert fingerprint(data) != fingerprint(changed)
+
+
+def test_training_stops_when_validation_gets_no_better() -> None:
+    noise = rows(24)
+    shuffled = np.random.default_rng(0).permutation(24)
+    unlearnable = TrainingRows(
+        noise.piece, noise.geometry, noise.observation, noise.offset_mm, noise.patch[shuffled],
+        noise.bottom, noise.grip_id, noise.mounting_id, noise.labels,
+    )  # fmt: skip
+    settings = TrainingSettings(
+        hidden=16, epochs=200, patience=3, learning_rate=0.02, validation_share=0.25
+    )
+    reports = list(Trainer(unlearnable, settings).epochs())
+    best = min(reports, key=lambda r: r.validation_loss)
+    assert len(reports) == best.epoch + 3 < 200
+    assert reports[-1].best_epoch == best.epoch
+
+
+def test_the_rate_falls_as_a_cosine_and_so_across_a_resume(tmp_path: Path) -> None:
+    data = rows(24)
+    trainer = Trainer(data, SMALL)
+    rates = []
+    for report in trainer.epochs():
+        rates.append(trainer.optimiser.param_groups[0]["lr"])
+        if report.epoch == 2:
+            save_state(tmp_path / "a.resume.safetensors", trainer, "x")
+    # 1e-3 (1 + cos(pi k / 4)) / 2 for k = 0, 1, 2, 3
+    assert rates == pytest.approx([1e-3, 0.853553e-3, 0.5e-3, 0.146447e-3], rel=1e-5)
+    again = Trainer(data, SMALL)
+    load_state(tmp_path / "a.resume.safetensors", again, "x")
+    next(again.epochs())
+    assert again.optimiser.param_groups[0]["lr"] == rates[2]

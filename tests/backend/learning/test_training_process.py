@@ -57,7 +57,7 @@ def test_cancelled_then_resumed_equals_uninterrupted(tmp_path: Path, write_data:
 
 
 def test_the_child_stops_when_asked(tmp_path: Path, write_data: Data) -> None:
-    settings = TrainingSettings(hidden=12, epochs=100_000, batch=8)
+    settings = TrainingSettings(hidden=12, epochs=100_000, patience=100_000, batch=8)
     endless = job(write_data(tmp_path / "data"), tmp_path / "pot.safetensors", settings=settings)
     reports = []
     with TrainingProcess(endless) as training:
@@ -71,7 +71,7 @@ def test_the_child_stops_when_asked(tmp_path: Path, write_data: Data) -> None:
 
 
 def test_the_child_ends_with_its_parent_block(tmp_path: Path, write_data: Data) -> None:
-    settings = TrainingSettings(hidden=12, epochs=100_000, batch=8)
+    settings = TrainingSettings(hidden=12, epochs=100_000, patience=100_000, batch=8)
     endless = job(write_data(tmp_path / "data"), tmp_path / "pot.safetensors", settings=settings)
     with TrainingProcess(endless) as training:
         next(training.reports())
@@ -89,7 +89,7 @@ def test_bad_input_of_the_child_is_an_input_error_here(tmp_path: Path) -> None:
 
 
 def test_a_child_that_dies_is_a_fault_with_the_next_step(tmp_path: Path, write_data: Data) -> None:
-    settings = TrainingSettings(hidden=12, epochs=100_000, batch=8)
+    settings = TrainingSettings(hidden=12, epochs=100_000, patience=100_000, batch=8)
     endless = job(write_data(tmp_path / "data"), tmp_path / "pot.safetensors", settings=settings)
     with TrainingProcess(endless) as training:
         reports = training.reports()

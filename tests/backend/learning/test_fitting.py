@@ -1,0 +1,27 @@
+"""A training that cannot succeed says so."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from backend.config.method import TrainingSettings
+from backend.core.faults import InputError
+from backend.learning.fitting import fit
+from backend.learning.job import TrainingJob
+
+
+def test_divergence_is_named_and_leaves_no_model(
+    tmp_path: Path, write_data: Callable[[Path], Path]
+) -> None:
+    out = tmp_path / "pot.safetensors"
+    job = TrainingJob(
+        data=write_data(tmp_path / "data"),
+        piece="pot",
+        out=out,
+        settings=TrainingSettings(hidden=4, epochs=9, patience=1, learning_rate=1e20),
+        threads=1,
+    )
+    with pytest.raises(InputError, match="diverged"):
+        fit(job, lambda _: None, lambda: False)
+    assert not out.exists()

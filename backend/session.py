@@ -96,6 +96,7 @@ class Session:
         self._leave: Callable[[], None] | None = None
         self._thread: threading.Thread | None = None
         self._closing = threading.Event()
+        self._speed = 1.0
         self.pace = 0.0
         """Simulated seconds per wall second, measured while live."""
         self.run_folder: Path | None = None
@@ -156,10 +157,11 @@ class Session:
         self._sensing.update()
         self._supervision.check(self._stage.clock.now_s())
 
-    def open(self) -> None:
-        """Start the live thread."""
+    def open(self, speed: float = 1.0) -> None:
+        """Start the live thread; ``speed`` simulated seconds per wall second."""
         if self._thread is None:
             self._closing.clear()
+            self._speed = speed
             self._thread = threading.Thread(target=self._live, name="bench", daemon=True)
             self._thread.start()
 
@@ -183,7 +185,7 @@ class Session:
                 self._end_run()
             self.advance()
             steps += 1
-            due_s += STEP_US * 1e-6
+            due_s += STEP_US * 1e-6 / self._speed
             now_s = time.monotonic()
             if now_s - measured_s >= 1.0:
                 self.pace = steps * STEP_US * 1e-6 / (now_s - measured_s)

@@ -39,6 +39,11 @@ class Estimator:
         estimator.warm_up()
         return estimator
 
+    @property
+    def base_rate(self) -> float:
+        """Share of contact points in the training data."""
+        return self.card.base_rate
+
     def warm_up(self) -> None:
         """Let the first call pay for nothing: torch sets up its kernels on first use."""
         for _ in range(3):

@@ -19,6 +19,10 @@ from backend.sensing.live import LiveSensing
 class Estimate(Protocol):
     """What the method needs of a trained model."""
 
+    @property
+    def base_rate(self) -> float | None:
+        """Share of contact points in its training data, for the prior correction."""
+
     def estimate(self, episode: Episode) -> ContactPatch:
         """Return the contact patch of one episode."""
 

@@ -106,8 +106,8 @@ class Engine:
             plan = self._plan
             if plan is None:
                 return
-            if self._interlock.latched and not isinstance(self._throw, StoppedError):
-                self._throw = StoppedError(self._why_stopped())
+            if self._interlock.latched and not isinstance(self._throw, StoppedError | FaultError):
+                self._throw = self._why_stopped()
         self._interlock.renew_lease(self._now_s())
         for _ in range(10_000):
             if not self._may_go_on():
@@ -213,11 +213,11 @@ class Engine:
             RunFinished(now_s, run_id, "stopped" if stopped else "failed", str(error))
         )
 
-    def _why_stopped(self) -> str:
+    def _why_stopped(self) -> TouchdownError:
         faults = self._interlock.faults
         if faults:
-            return f"{faults[0].what} [{faults[0].code}]"
-        return f"stopped by {self._interlock.stopped_by}"
+            return FaultError(faults[0])
+        return StoppedError(f"stopped by {self._interlock.stopped_by}")
 
 
 def _followed(status: RunStatus, fact: Fact) -> RunStatus:

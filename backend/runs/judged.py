@@ -9,11 +9,11 @@ from backend.core.flow import Episode, PlaceAction, Stability
 
 @dataclass(frozen=True, slots=True)
 class Felt:
-    """A probe as felt: the episode, and the bench time of its last sample."""
+    """A probe as felt. ``sampled_s``: wall clock when its last sample was there (for latency)."""
 
     episode: Episode
     probe: int
-    last_sample_s: float
+    sampled_s: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,13 +59,14 @@ def press_once(bench: Bench, probe: int) -> Plan[Felt]:
     yield PhaseEntered(bench.now_s(), "hold", probe)
     end_s = onset_s + SAMPLES_PER_PROBE * TICK_S + AFTER_LAST_TICK_S
     yield Waiting(lambda: bench.now_s() >= end_s, 5.0, "the last frames")
+    sampled_s = bench.wall_s()
     episode = assemble(
         bench.sensing.recording(onset_s - BEFORE_ONSET_S, end_s),
         onset_s=onset_s,
         offset_mm=np.array([here.x_mm, here.y_mm]),
         piece=bench.piece.name,
     )
-    return Felt(episode, probe, end_s)
+    return Felt(episode, probe, sampled_s)
 
 
 def probe_until_accepted(bench: Bench, probe: int, tries: int = 2) -> Plan[Felt]:

@@ -31,15 +31,16 @@ def stack(bench: Bench) -> Plan[Ending]:
     """Place the piece as the paper does; ends placed, fell, knocked over or gave up."""
     yield from take_piece(bench)
     here = bench.arm.pose(max_age_s=0.2)
-    belief = Belief.unknown(bench.settings.belief, (here.x_mm, here.y_mm))
+    belief = Belief.unknown(
+        bench.settings.belief, (here.x_mm, here.y_mm), bench.estimator.base_rate
+    )
     approved = bench.settings.mode == "auto"
     probe = 0
     while True:
         yield Checkpoint()
         probe += 1
         felt = yield from probe_until_accepted(bench, probe)
-        started_s = bench.wall_s()
-        belief, judged = yield from _conclude(bench, felt, belief, started_s)
+        belief, judged = yield from _conclude(bench, felt, belief)
         bench.store.keep(felt.episode)
         if judged.action.kind == "release" and approved:
             return (yield from _let_go(bench, judged, approved=approved))
@@ -58,9 +59,7 @@ def stack(bench: Bench) -> Plan[Ending]:
             yield from shift(bench, judged.action.step_mm, probe)
 
 
-def _conclude(
-    bench: Bench, felt: Felt, belief: Belief, started_s: float
-) -> Plan[tuple[Belief, Judged]]:
+def _conclude(bench: Bench, felt: Felt, belief: Belief) -> Plan[tuple[Belief, Judged]]:
     """Estimate, fuse, judge, choose; announced only when the action is chosen."""
     settings = bench.settings
     offset = felt.episode.offset_mm
@@ -69,7 +68,7 @@ def _conclude(
     belief = belief.updated(patch, here)
     stability = judge(belief, patch, bench.piece.com_xy_mm, here, settings.stability)
     action = choose(stability, belief, here, settings.policy, settings.stability)
-    latency_ms = 1e3 * (bench.wall_s() - started_s)
+    latency_ms = 1e3 * (bench.wall_s() - felt.sampled_s)
     now_s = bench.now_s()
     yield PatchEstimated(now_s, patch, here, felt.probe)
     yield BeliefUpdated(now_s, belief.map, felt.probe)

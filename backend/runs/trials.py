@@ -70,14 +70,23 @@ def _one_trial(bench: Bench, request: StackRequest) -> Plan[tuple[Ending, RunEnd
     except StoppedError as cause:
         return Ending(Outcome.ABORTED, str(cause), probes()), "stopped"
     except RefusedError as cause:
+        if bench.interlock.latched:
+            return Ending(Outcome.ABORTED, _stopped(bench), probes()), "stopped"
         yield Said(bench.now_s(), f"Refused: {cause}")
         yield from _retreat(bench)
         return Ending(Outcome.ABORTED, str(cause), probes()), None
     except FaultError as cause:
+        if bench.interlock.stopped_by and not bench.interlock.faults:
+            # The motion was interrupted by STOP: that is no fault of a device.
+            return Ending(Outcome.ABORTED, _stopped(bench), probes()), "stopped"
         bench.interlock.raise_fault(cause.fault)
         yield FaultRaised(bench.now_s(), cause.fault)
         return Ending(Outcome.ABORTED, str(cause), probes()), "failed"
     return ending, None
+
+
+def _stopped(bench: Bench) -> str:
+    return f"stopped by {bench.interlock.stopped_by}"
 
 
 def _retreat(bench: Bench) -> Plan[None]:

@@ -1,0 +1,229 @@
+"""The whole loop on the stepped bench, asserted on its facts and on the truth behind it."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import pytest
+
+from backend.config.method import StackSettings
+from backend.core.facts import (
+    ActionChosen,
+    ApprovalAwaited,
+    BeliefUpdated,
+    EpisodeRecorded,
+    Fact,
+    FaultRaised,
+    PatchEstimated,
+    PhaseEntered,
+    Released,
+    RunFinished,
+    RunStarted,
+    StabilityJudged,
+    TrialFinished,
+    TrialStarted,
+)
+from backend.core.flow import Outcome
+from backend.dataset.episode_reading import read_episode
+from backend.runs.journal import read_journal
+from tests.backend.runs.oracle_bench import OracleSession, request
+
+PROBE = (PatchEstimated, BeliefUpdated, StabilityJudged, ActionChosen)
+
+
+def last_trial(bench: OracleSession) -> TrialFinished:
+    fact = bench.of(TrialFinished)[-1]
+    assert isinstance(fact, TrialFinished)
+    return fact
+
+
+def test_places_the_piece_and_tells_every_step(tmp_path: Path) -> None:
+    bench = OracleSession(runs=tmp_path)
+    bench.session.run(request())
+    bench.session.close()
+    end = last_trial(bench)
+    assert end.outcome is Outcome.PLACED
+    truth = bench.benches[-1].truth()
+    assert truth.stands is True
+    assert end.margin_mm == truth.margin_mm > 0
+    assert end.excess_probes == 0
+    kinds = [type(fact) for fact in bench.facts]
+    assert kinds[:2] == [RunStarted, TrialStarted]
+    assert kinds[-2:] == [TrialFinished, RunFinished]
+    assert [k for k in kinds if k in PROBE] == list(PROBE) * end.probes
+    assert len(bench.of(EpisodeRecorded)) == end.probes
+    assert [f.kind for f in (a.action for a in bench.of(ActionChosen))][-1] == "release"
+
+
+def test_the_journal_gives_the_run_back_and_every_episode_is_on_disk(tmp_path: Path) -> None:
+    bench = OracleSession(runs=tmp_path)
+    bench.session.run(request())
+    folder = bench.session.run_folder
+    bench.session.close()
+    assert folder is not None
+    back = list(read_journal(folder))
+    assert [type(f) for f in back] == [type(f) for f in bench.facts]
+    for fact, oracle in zip(bench.of(EpisodeRecorded), bench.oracles[0].asked, strict=True):
+        assert isinstance(fact, EpisodeRecorded)
+        episode = read_episode(folder / "episodes" / fact.path)
+        assert episode.observation.tobytes() == oracle.observation.tobytes()
+        assert episode.recording is not None
+        assert len(episode.recording.frames) >= 100
+
+
+def test_equal_seeds_give_equal_bits_live_and_stepped() -> None:
+    stepped = OracleSession()
+    stepped.session.run(request(trials=1))
+    live = OracleSession()
+    ended = threading.Event()
+    live.session.hub.subscribe(lambda f: ended.set() if isinstance(f, RunFinished) else None)
+    live.session.prepare(request(seed=99))
+    live.session.open(speed=100.0)
+    live.session.start(request(trials=1))
+    assert ended.wait(90)
+    live.session.close()
+    assert live.record() == stepped.record()
+    other = OracleSession()
+    other.session.run(request(seed=8))
+    assert other.record() != stepped.record()
+
+
+def test_pick_and_place_always_starts_unstable_and_falls() -> None:
+    bench = OracleSession()
+    bench.session.run(request(strategy="pick-and-place", trials=3))
+    ends = bench.of(TrialFinished)
+    assert [e.outcome for e in ends] == [Outcome.FELL] * 3
+    assert not bench.oracles[0].asked
+
+
+def test_gives_up_after_max_probes_and_never_opens_the_gripper() -> None:
+    method = StackSettings().model_copy(
+        update={"policy": StackSettings().policy.model_copy(update={"max_probes": 1})}
+    )
+    bench = OracleSession(method=method)
+    bench.session.run(request())
+    assert last_trial(bench).outcome is Outcome.GAVE_UP
+    assert bench.benches[-1].gripper.status().holding
+    assert not bench.of(Released)
+
+
+def after(bench: OracleSession, kind: type[Fact], phase: str, act: object) -> None:
+    """Call ``act`` once when a fact of ``kind`` (and phase) is published."""
+    done = threading.Event()
+
+    def listen(fact: Fact) -> None:
+        match = isinstance(fact, kind) and getattr(fact, "phase", phase) == phase
+        if match and not done.is_set():
+            done.set()
+            act()  # type: ignore[operator]
+
+    bench.session.hub.subscribe(listen)
+
+
+@pytest.mark.parametrize("phase", ["grip", "reference", "approach", "press", "hold", "lift"])
+def test_stop_in_every_phase_ends_the_run_and_keeps_the_piece(phase: str) -> None:
+    bench = OracleSession()
+    after(bench, PhaseEntered, phase, bench.session.stop)
+    bench.session.run(request())
+    assert last_trial(bench).outcome is Outcome.ABORTED
+    end = bench.facts[-1]
+    assert isinstance(end, RunFinished)
+    assert end.ending == "stopped"
+    world = bench.benches[-1]
+    world.advance(20_000)
+    before = world.arm.pose(1.0)
+    world.advance(500_000)
+    settled = world.arm.pose(1.0)
+    world.advance(500_000)
+    assert world.arm.pose(1.0) == settled
+    assert abs(settled.z_mm - before.z_mm) < 0.5
+    assert world.truth().stands is None
+
+
+def test_cancel_lifts_and_keeps_the_piece() -> None:
+    bench = OracleSession()
+    after(bench, PhaseEntered, "press", bench.session.engine.cancel)
+    bench.session.run(request())
+    assert last_trial(bench).outcome is Outcome.ABORTED
+    end = bench.facts[-1]
+    assert isinstance(end, RunFinished)
+    assert end.ending == "cancelled"
+    assert bench.benches[-1].gripper.status().holding
+    pressed_n = bench.session.wrench.latest(bench.session.clock_s(), 1.0)[1][2]
+    assert abs(pressed_n) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("fault", "code", "device"),
+    [
+        ("tactile_left:stop@3.0", "CAMERA-STALE", "tactile_left"),
+        ("tactile_right:freeze@3.0", "", ""),
+        ("force_torque:nan@4.0", "FT-STALE", "force_torque"),
+        ("force_torque:stop@4.0", "FT-STALE", "force_torque"),
+        ("force_torque:jump@4.0", "FT-TRIP", "force_torque"),
+    ],
+)
+def test_a_failing_sensor_ends_in_one_clear_fault(
+    fault: str, code: str, device: str, tmp_path: Path
+) -> None:
+    bench = OracleSession(fault, runs=tmp_path)
+    bench.session.run(request())
+    folder = bench.session.run_folder
+    bench.session.close()
+    faults = bench.of(FaultRaised)
+    assert last_trial(bench).outcome is Outcome.ABORTED
+    assert len(faults) == 1
+    raised = faults[0]
+    assert isinstance(raised, FaultRaised)
+    if code:
+        assert (raised.fault.code, raised.fault.device) == (code, device)
+    assert bench.benches[-1].gripper.status().holding
+    assert folder is not None
+    assert isinstance(list(read_journal(folder))[-1], RunFinished)
+
+
+def test_a_short_nan_burst_voids_the_probe_and_the_run_goes_on() -> None:
+    bench = OracleSession("force_torque:nan@4.0+0.2")
+    bench.session.run(request())
+    end = last_trial(bench)
+    assert end.outcome is Outcome.PLACED
+    presses = [f for f in bench.of(PhaseEntered) if getattr(f, "phase", "") == "press"]
+    assert len(presses) == end.probes + 1
+    assert len(bench.oracles[0].asked) == end.probes
+
+
+def test_approve_mode_moves_only_after_a_yes_and_judges_again() -> None:
+    bench = OracleSession()
+    asked: list[str] = []
+
+    def answer(fact: Fact) -> None:
+        if isinstance(fact, ApprovalAwaited):
+            asked.append(fact.action.kind)
+            force = bench.session.wrench.latest(bench.session.clock_s(), 1.0)[1][2]
+            assert abs(force) < 1.0
+            bench.session.answer(True)
+
+    bench.session.hub.subscribe(answer)
+    bench.session.run(request(mode="approve"))
+    assert last_trial(bench).outcome is Outcome.PLACED
+    assert asked[-1] == "release"
+    assert asked.count("release") == 1
+    chosen = [f.action.kind for f in bench.of(ActionChosen) if isinstance(f, ActionChosen)]
+    assert chosen[-2:] == ["release", "release"]
+
+
+def test_a_no_keeps_the_piece() -> None:
+    bench = OracleSession()
+    bench.session.hub.subscribe(
+        lambda f: bench.session.answer(False) if isinstance(f, ApprovalAwaited) else None
+    )
+    bench.session.run(request(mode="approve"))
+    assert last_trial(bench).outcome is Outcome.ABORTED
+    assert bench.benches[-1].gripper.status().holding
+
+
+def test_stacks_on_a_tower_of_two() -> None:
+    bench = OracleSession()
+    bench.session.run(request(piece="barrel", bottoms=("short", "long"), seed=5))
+    assert last_trial(bench).outcome is Outcome.PLACED

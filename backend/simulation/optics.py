@@ -30,6 +30,12 @@ _FAR_PX2 = 1600.0
 """Squared distances are cut here, where a dot has long faded, so that exp never overflows."""
 _CONTRAST_SPREAD = 0.05
 """Spread of the dots' darkness (real cores range from 16 to 67 levels)."""
+_FLECKS = 9
+"""Light flecks on every dot; they move with it, as those of the real paint do."""
+_FLECK_SIGMA_PX = 1.1
+_FRINGE = ((0, -4), (-4, 0), (0, 4))
+"""Where the shadow of a dot falls in B, G, R: the lights come from three sides (u, v in px)."""
+_FRINGE_DEPTH = 0.5
 _BANK_FACTOR = 2
 
 Float32 = NDArray[np.float32]
@@ -47,6 +53,14 @@ class FingerOptics:
         self._to_core = look.core.astype(np.float32)[:, None, None] - self._back
         contrast = 1.0 - np.abs(_CONTRAST_SPREAD * fixed.standard_normal(MARKERS))
         self._contrast = contrast.astype(np.float32)[:, None, None]
+        angle = fixed.uniform(0.0, 2.0 * np.pi, (MARKERS, _FLECKS))
+        reach = 0.8 * look.radius_px * np.sqrt(fixed.uniform(size=(MARKERS, _FLECKS)))
+        self._fleck_u = (reach * np.cos(angle))[..., None].astype(np.float32)
+        self._fleck_v = (reach * np.sin(angle))[..., None].astype(np.float32)
+        height = fixed.uniform(0.05, 0.45, (MARKERS, _FLECKS, 1)).astype(np.float32)
+        self._fleck_height = height
+        area = 2.0 * np.pi * _FLECK_SIGMA_PX**2 / (np.pi * look.radius_px**2)
+        self._fleck_mean = np.asarray(area * height.sum(axis=1, keepdims=True), dtype=np.float32)
         shape = (3, _BANK_FACTOR * HEIGHT_PX, _BANK_FACTOR * WIDTH_PX)
         self._bank = fixed.standard_normal(shape, dtype=np.float32) * np.float32(look.noise)
         self._patches = np.empty((MARKERS, 2 * _REACH_PX, 2 * _REACH_PX), dtype=np.float32)
@@ -59,8 +73,7 @@ class FingerOptics:
         """Return the image for ``displacement_px`` (63, 2); smears cover ``hidden`` dots (63,)."""
         centre_px = self.look.rest_px + displacement_px
         self._draw_dots(centre_px, displacement_px)
-        np.multiply(self._to_core, self._mask, out=self._frame)
-        self._frame += self._back
+        self._shade()
         for marker in np.flatnonzero(hidden):
             self._smear(centre_px[marker])
         if self._flicker:
@@ -91,12 +104,31 @@ class FingerOptics:
         np.exp(mask, out=mask)
         mask += np.float32(1.0)
         np.divide(self._contrast, mask, out=mask)
+        mask *= self._paint(dx, dy)
         for (u, v), patch in zip(corner.tolist(), mask, strict=True):
             u0, u1 = max(u, 0), min(u + size, WIDTH_PX)
             v0, v1 = max(v, 0), min(v + size, HEIGHT_PX)
             if u0 < u1 and v0 < v1:
                 there = self._mask[v0:v1, u0:u1]
                 np.maximum(there, patch[v0 - v : v1 - v, u0 - u : u1 - u], out=there)
+
+    def _paint(self, dx: Float32, dy: Float32) -> Float32:
+        """Return (63, n, n) darkness of the paint, 1 on average over a dot."""
+        narrow = np.float32(-0.5 / _FLECK_SIGMA_PX**2)
+        u = np.exp(narrow * np.square(dx[:, None, :] - self._fleck_u))
+        v = np.exp(narrow * np.square(dy[:, None, :] - self._fleck_v)) * self._fleck_height
+        flecks = v.swapaxes(1, 2) @ u
+        return np.asarray(np.float32(1.0) + self._fleck_mean - flecks, dtype=np.float32)
+
+    def _shade(self) -> None:
+        """Lay the dots and their coloured shadows over the resting image."""
+        mask, depth = self._mask, np.float32(_FRINGE_DEPTH)
+        for channel, (du, dv) in enumerate(_FRINGE):
+            into, source = _overlap(du, dv)
+            shade = mask.copy()
+            np.maximum(shade[into], depth * mask[source], out=shade[into])
+            np.multiply(self._to_core[channel], shade, out=self._frame[channel])
+        self._frame += self._back
 
     def _smear(self, centre_px: FloatArray) -> None:
         reach = int(SMEAR_RADIUS_PX + 6)
@@ -121,6 +153,13 @@ class FingerOptics:
             self._frame[channel] += self._bank[
                 channel, row : row + HEIGHT_PX, column : column + WIDTH_PX
             ]
+
+
+def _overlap(du: int, dv: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Return where an image shifted by (du, dv) lands, and where that part comes from."""
+    rows = slice(max(dv, 0), HEIGHT_PX + min(dv, 0)), slice(max(-dv, 0), HEIGHT_PX + min(-dv, 0))
+    columns = slice(max(du, 0), WIDTH_PX + min(du, 0)), slice(max(-du, 0), WIDTH_PX + min(-du, 0))
+    return (rows[0], columns[0]), (rows[1], columns[1])
 
 
 def _background(look: GelLook) -> Float32:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from importlib.util import find_spec
 
-from PySide6.QtCore import QTimer
+from PySide6.QtCore import QObject, QTimer
 from PySide6.QtWidgets import QApplication
 
 from app.application import TouchdownApp
@@ -59,19 +60,25 @@ def _show(main: TouchdownApp, args: argparse.Namespace) -> None:
 
 def live_bench() -> Link:
     """Build the simulated bench with a first scene to look at (on the connecting thread)."""
+    # Imported here, on the connecting thread: the model library takes seconds to load.
     from backend.assembly import simulated_session
-
     from backend.runs.requests import StackRequest
+    from backend.session import Keep
 
-    session = simulated_session()
+    session = simulated_session(keep=Keep(data_folder() / "runs"), animate=_can_animate())
     session.prepare(StackRequest())
     return session
 
 
-class _Grab:
+def _can_animate() -> bool:
+    return find_spec("mujoco") is not None
+
+
+class _Grab(QObject):
     """Starts a run once the bench is there and saves a picture after a while."""
 
     def __init__(self, main: TouchdownApp, args: argparse.Namespace) -> None:
+        super().__init__(main)
         self._main, self._file = main, args.grab
         self._timer = QTimer(main)
         self._timer.timeout.connect(self._started)
@@ -80,7 +87,7 @@ class _Grab:
         self._replay = args.replay is not None
 
     def _started(self) -> None:
-        if self._main.stack is None and not self._replay:
+        if self._main.stack is None and not self._replay and not self._main.cards.codes:
             return
         self._timer.stop()
         if self._main.stack is not None and not self._replay:

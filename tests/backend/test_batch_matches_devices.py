@@ -68,3 +68,8 @@ def test_one_press_felt_by_the_devices_is_the_one_simulated_in_bulk(
     difference = recorded.episode.observation - batch.observation[0]
     rms_px = float(np.sqrt(np.mean(difference[:, :TACTILE_CHANNELS] ** 2)))
     moved_px = float(np.sqrt(np.mean(batch.observation[0][:, :TACTILE_CHANNELS] ** 2)))
+    assert moved_px > 2.0
+    assert rms_px <= RMS_LIMIT_PX
+    wrench = np.abs(difference[:, TACTILE_CHANNELS:])
+    assert wrench[:, :3].max() < 0.15
+    assert wrench[:, 3:].max() < 0.01

@@ -22,6 +22,7 @@ VERBS = {
     "replay": "play a recorded run again",
     "simulate": "write labelled episodes of the simulated bench",
     "train": "train a contact-patch model",
+    "models": "simulate, train and measure the models that ship",
     "evaluate": "measure a contact-patch model",
     "track": "track the gel's markers in an image, video or folder",
     "doctor": "check this computer, each finding with its fix",

@@ -85,9 +85,14 @@ def save_checkpoint(path: Path, model: PatchNet, card: Card) -> Card:
     content = save_tensors(tensors)
     sealed = card.model_copy(update={"weights_sha256": hashlib.sha256(content).hexdigest()})
     write_atomically(path, content)
-    text = json.dumps(sealed.model_dump(), indent=2, sort_keys=True, ensure_ascii=False)
-    write_atomically(card_path(path), text.encode("utf-8") + b"\n")
+    save_card(path, sealed)
     return sealed
+
+
+def save_card(path: Path, card: Card) -> None:
+    """Write the card of the weights ``path``, for example with further metrics."""
+    text = json.dumps(card.model_dump(), indent=2, sort_keys=True, ensure_ascii=False)
+    write_atomically(card_path(path), text.encode("utf-8") + b"\n")
 
 
 def load_checkpoint(path: Path) -> Checkpoint:

@@ -53,15 +53,16 @@ class Cells:
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """Forces of the cells at one trial motion (all (B, n), N), and their resultant (B, 6)."""
+    """Motion (mm) and forces (N) of the cells at one trial, all (B, n); their resultant (B, 6)."""
 
+    u_x: FloatArray
+    u_y: FloatArray
     normal_n: FloatArray
     pull_x: FloatArray
     pull_y: FloatArray
     size: FloatArray
     share: FloatArray
     wrench: FloatArray
-    sums: FloatArray
 
 
 def pack(points_mm: FloatArray, inside: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -102,7 +103,7 @@ def touch(cells: Cells, anchor: FloatArray, q: FloatArray) -> Touch:
     wrench[:, 3] = sums[:, 2, 2] - cells.r_z * f_y
     wrench[:, 4] = cells.r_z * f_x - sums[:, 2, 1]
     wrench[:, 5] = sums[:, 1, 1] - sums[:, 0, 2]
-    return Touch(normal_n, pull_x, pull_y, size, share, wrench, sums)
+    return Touch(u_x, u_y, normal_n, pull_x, pull_y, size, share, wrench)
 
 
 def tangent(cells: Cells, now: Touch) -> FloatArray:
@@ -152,8 +153,7 @@ def _assemble(m: FloatArray, r_z: FloatArray) -> FloatArray:
     return j
 
 
-def moved_anchor(cells: Cells, now: Touch, q: FloatArray) -> FloatArray:
+def moved_anchor(cells: Cells, now: Touch) -> FloatArray:
     """Return the anchors (2, B, n) after the step: dragged where sliding, free where lifted."""
-    u_x, u_y, _ = surface_motion(cells, q)
     back = now.share / np.maximum(cells.tangential, TINY)
-    return np.stack([u_x - back * now.pull_x, u_y - back * now.pull_y])
+    return np.stack([now.u_x - back * now.pull_x, now.u_y - back * now.pull_y])

@@ -58,7 +58,8 @@ class ContactState:
     """What B probes carry from one time step to the next.
 
     ``q`` (B, 6) mm and rad; ``slip`` (B, 2, 3); ``anchor`` (2, B, n); ``relaxed`` (B, 2, 4);
-    ``residual`` (B,): worst of the probe so far.
+    ``residual`` (B,): worst of the probe so far. ``depth_mm`` (B,): last command; ``slope`` (B, 6):
+    change of q per mm of it, for the first guess of the next step.
     """
 
     cells: contact.Cells
@@ -68,6 +69,8 @@ class ContactState:
     anchor: FloatArray
     relaxed: FloatArray
     residual: FloatArray
+    depth_mm: FloatArray
+    slope: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +142,8 @@ def begin(
         anchor=np.zeros((2, *x.shape)),
         relaxed=kept.relaxed,
         residual=np.zeros(count),
+        depth_mm=np.zeros(count),
+        slope=np.zeros((count, 6)),
     )
 
 
@@ -152,7 +157,9 @@ def advance(
     """
     conditions = state.conditions
     spring = grasp.springs(conditions, state.relaxed, dt_s)
-    slip, q = state.slip, state.q
+    slip = state.slip
+    travel = commanded_mm[:, 2] - state.depth_mm
+    q = state.q + travel[:, None] * state.slope
     for _ in range(SLIP_PASSES):
         unloaded = spring.hidden.copy()
         unloaded[:, :, :3] += slip
@@ -169,13 +176,16 @@ def advance(
         residual = np.full_like(residual, np.inf)
     elastic = d.copy()
     elastic[:, :, :3] -= slip
+    moved = np.abs(travel[:, None]) > 1e-6
     after = replace(
         state,
         q=q,
         slip=slip,
-        anchor=contact.moved_anchor(state.cells, now, q),
+        anchor=contact.moved_anchor(state.cells, now),
         relaxed=grasp.relax(state.relaxed, elastic, conditions, dt_s),
         residual=np.maximum(state.residual, residual),
+        depth_mm=commanded_mm[:, 2],
+        slope=np.where(moved, (q - state.q) / np.where(moved, travel[:, None], 1.0), state.slope),
     )
     solved = Solved(
         q=q,

@@ -173,13 +173,19 @@ def _state_at(states: list[ContactState], acted: NDArray[np.intp]) -> ContactSta
     rows = np.arange(len(acted))
     used = states[: int(acted.max()) + 1]
     anchors = np.stack([state.anchor for state in used])[acted, :, rows]
+
+    def own(name: str) -> FloatArray:
+        return np.stack([getattr(state, name) for state in used])[acted, rows]
+
     return replace(
         states[0],
-        q=np.stack([state.q for state in used])[acted, rows],
-        slip=np.stack([state.slip for state in used])[acted, rows],
+        q=own("q"),
+        slip=own("slip"),
         anchor=np.ascontiguousarray(anchors.swapaxes(0, 1)),
-        relaxed=np.stack([state.relaxed for state in used])[acted, rows],
-        residual=np.stack([state.residual for state in used])[acted, rows],
+        relaxed=own("relaxed"),
+        residual=own("residual"),
+        depth_mm=own("depth_mm"),
+        slope=own("slope"),
     )
 
 

@@ -8,7 +8,7 @@ import pytest
 from backend.config.method import ProbeSettings
 from backend.core.onset import OnsetRule
 from backend.simulation.gel import build_gel
-from backend.simulation.mechanics import advance, begin
+from backend.simulation.mechanics import Carried, advance, begin
 from backend.simulation.pressing import noise_samples, press
 from backend.simulation.timeline import Timeline, packed
 from tests.backend.simulation.conftest import Disc, lattice, plain
@@ -93,15 +93,7 @@ def test_a_slipped_piece_touches_later_and_is_found_all_the_same() -> None:
         Disc(25),
         np.zeros((COUNT, 2)),
         state.conditions,
-        previous=type(state)(
-            state.cells,
-            state.conditions,
-            state.q,
-            slipped,
-            state.anchor,
-            state.relaxed,
-            state.residual,
-        ),
+        previous=Carried(slipped, state.relaxed),
     )
     pressed = press(moved, phase_s, noise, PROBE, RULE, CYCLE_S)
     assert pressed.detected.all()

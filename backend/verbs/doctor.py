@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from backend.verbs import check_machine, check_packages
 from backend.verbs.check import Check, Examine
@@ -61,10 +61,8 @@ def findings(checks: list[Check]) -> Table:
     for column in ("", "check", "found", "what to do"):
         table.add_column(column, overflow="fold")
     for check in checks:
-        colour = COLOURS[check.word]
-        table.add_row(
-            f"[{colour}]{check.word}[/]", check.name, escape(check.detail), escape(check.fix)
-        )
+        word = Text(check.word, style=COLOURS[check.word])
+        table.add_row(word, check.name, check.detail, check.fix)
     return table
 
 

@@ -32,15 +32,18 @@ class Screen:
     def __init__(self, *, json: bool = False, stream: TextIO | None = None) -> None:
         self.json = json
         self._stream = sys.stdout if stream is None else stream
-        self._console = Console(file=self._stream, quiet=json, highlight=False, soft_wrap=True)
+        # Without mark-up: "[CAMERA-STALE]" in a message or a table cell is text, never a tag.
+        self._console = Console(
+            file=self._stream, quiet=json, highlight=False, markup=False, soft_wrap=True
+        )
         self._answered = False
 
     def say(self, text: str) -> None:
-        """Print a plain sentence for people (square brackets are text, not mark-up)."""
-        self._console.print(text, markup=False)
+        """Print a plain sentence for people."""
+        self._console.print(text)
 
     def show(self, renderable: RenderableType) -> None:
-        """Print a rich table, panel or other renderable for people."""
+        """Print a rich table or other renderable for people (colours by ``rich.text.Text``)."""
         self._console.print(renderable, soft_wrap=False)
 
     @contextmanager

@@ -12,14 +12,26 @@ import sys
 from collections.abc import Sequence
 
 from rich.table import Table
+from rich.text import Text
 
+from backend.core.faults import TouchdownError
 from backend.verbs.screen import Screen
 from tests.bench.registry import REGISTER, Figure
 
-MODULES: tuple[str, ...] = ("tests.bench.command_line",)
+MODULES: tuple[str, ...] = (
+    "tests.bench.command_line",
+    "tests.bench.tracking",
+    "tests.bench.simulation",
+    "tests.bench.window",
+    "tests.bench.stacking",
+)
 """Modules that register figures, in the order of the table."""
 
-WORDS = {True: "[green]met[/]", False: "[bold red]missed[/]", None: "[yellow]not measured[/]"}
+WORDS = {
+    True: Text("met", "green"),
+    False: Text("missed", "bold red"),
+    None: Text("stated", "yellow"),
+}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -40,7 +52,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     with screen.progress("Measuring", len(wanted)) as advance:
         for done, (name, measure) in enumerate(wanted.items()):
             advance(done, name.replace("_", " "))
-            figures += measure()
+            try:
+                figures += measure()
+            except TouchdownError as error:
+                figures.append(Figure(name, None, "", "", ok=False, note=str(error)))
         advance(len(wanted))
     screen.show(table(figures))
     missed = [figure for figure in figures if figure.ok is False]

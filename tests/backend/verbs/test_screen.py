@@ -68,3 +68,11 @@ def test_a_second_object_is_a_defect():
     screen.result({})
     with pytest.raises(RuntimeError, match="exactly one"):
         screen.result({})
+
+
+def test_brackets_in_a_table_are_text():
+    screen, stream = _screen(as_json=False)
+    table = Table("reason")
+    table.add_row("arm refused [/busy] [BUSY]")
+    screen.show(table)
+    assert "arm refused [/busy] [BUSY]" in stream.getvalue()

@@ -1,0 +1,66 @@
+"""Figures of the stacking loop: 60 seeds (3 pieces x 2 bottoms x 10), started unstable."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backend.assembly import SimulatedBenchChoice, simulated_session
+from backend.core.facts import ActionChosen, Fact, TrialFinished
+from backend.core.flow import Outcome
+from backend.runs.requests import StackRequest, Strategy
+from tests.bench.registry import Figure, figure
+
+PIECES, BOTTOMS, TRIALS = ("pot", "mushroom", "barrel"), ("short", "long"), 10
+UNSAFE = (Outcome.FELL, Outcome.KNOCKED_OVER)
+
+
+def _sixty(preset: str | None, strategy: Strategy) -> tuple[list[TrialFinished], list[float]]:
+    """Return how each trial ended, and the decision latencies in ms."""
+    facts: list[Fact] = []
+    session = simulated_session(SimulatedBenchChoice(preset=preset))
+    session.hub.subscribe(facts.append)
+    try:
+        for piece in PIECES:
+            for bottom in BOTTOMS:
+                session.run(
+                    StackRequest(piece, (bottom,), seed=100, trials=TRIALS, strategy=strategy)
+                )
+    finally:
+        session.close()
+    ends = [fact for fact in facts if isinstance(fact, TrialFinished)]
+    return ends, [fact.latency_ms for fact in facts if isinstance(fact, ActionChosen)]
+
+
+def _counts(ends: list[TrialFinished]) -> tuple[int, int, str]:
+    placed = sum(end.outcome is Outcome.PLACED for end in ends)
+    unsafe = sum(end.outcome in UNSAFE for end in ends)
+    probes = float(np.mean([end.probes for end in ends]))
+    return placed, unsafe, f"{len(ends)} trials, {probes:.2f} probes on average"
+
+
+@figure("stacking")
+def paper_on_the_default_bench() -> list[Figure]:
+    """Placed, unsafe releases and decision latency on mixed noise."""
+    ends, latencies_ms = _sixty(None, "paper")
+    placed, unsafe, note = _counts(ends)
+    p99 = float(np.percentile(latencies_ms, 99))
+    return [
+        Figure("placed, paper strategy", placed, "of 60", ">= 50", placed >= 50, note),
+        Figure("released unsafely, paper strategy", unsafe, "of 60", "<= 3", unsafe <= 3, note),
+        Figure("decision latency p99", p99, "ms", "<= 10", p99 <= 10),
+    ]
+
+
+@figure("stacking")
+def paper_with_release_disturbance() -> list[Figure]:
+    """The same with 0.5 mm of disturbance at release (no target: stated beside the other)."""
+    placed, unsafe, note = _counts(_sixty("realistic", "paper")[0])
+    note = f"{unsafe} released unsafely; {note}"
+    return [Figure("placed, preset realistic", placed, "of 60", "stated", None, note)]
+
+
+@figure("stacking")
+def pick_and_place() -> list[Figure]:
+    """Without touch nothing stands, since every start is unstable."""
+    placed, _, note = _counts(_sixty(None, "pick-and-place")[0])
+    return [Figure("placed, pick-and-place", placed, "of 60", "0", placed == 0, note)]

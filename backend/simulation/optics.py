@@ -49,6 +49,7 @@ class FingerOptics:
         self.look, self._flicker = look, flicker
         fixed = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 1])))
         self._draws = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 2])))
+        self._slopes = _slopes(look.rest_px)
         self._back = _background(look) + _grain(look, fixed)
         self._to_core = look.core.astype(np.float32)[:, None, None] - self._back
         contrast = 1.0 - np.abs(_CONTRAST_SPREAD * fixed.standard_normal(MARKERS))
@@ -91,8 +92,7 @@ class FingerOptics:
         steps = np.arange(size, dtype=np.float32)
         first = (corner - centre_px).astype(np.float32)
         dx, dy = first[:, :1] + steps, first[:, 1:] + steps
-        inverse = _inverse_stretch(displacement_px, self.look.rest_px).astype(np.float32)
-        a, b, c = _quadratic_form(inverse)
+        a, b, c = _quadratic_form(self._slopes, displacement_px)
         mask = self._patches
         np.multiply((2.0 * b * dy)[:, :, None], dx[:, None, :], out=mask)
         mask += (a * dx * dx)[:, None, :]
@@ -178,28 +178,26 @@ def _grain(look: GelLook, rng: np.random.Generator) -> Float32:
     return np.ascontiguousarray(smooth.transpose(2, 0, 1))
 
 
-def _inverse_stretch(displacement_px: FloatArray, rest_px: FloatArray) -> FloatArray:
-    """Return (63, 2, 2) inverse of I + ∂d/∂p, from central differences over the grid."""
-    grid = displacement_px.reshape(GRID_ROWS, GRID_COLS, 2)
+def _slopes(rest_px: FloatArray) -> FloatArray:
+    """Return (2, 63, 63): maps a field on the grid to its slopes along u and v, per px."""
     rest = rest_px.reshape(GRID_ROWS, GRID_COLS, 2)
-    pitch_u = float(np.mean(np.diff(rest[..., 0], axis=1)))
-    pitch_v = float(np.mean(np.diff(rest[..., 1], axis=0)))
-    along_u = np.asarray(np.gradient(grid, pitch_u, axis=1)).reshape(MARKERS, 2)
-    along_v = np.asarray(np.gradient(grid, pitch_v, axis=0)).reshape(MARKERS, 2)
-    stretch = np.stack([along_u, along_v], axis=-1)
-    stretch[:, 0, 0] += 1.0
-    stretch[:, 1, 1] += 1.0
-    determinant = stretch[:, 0, 0] * stretch[:, 1, 1] - stretch[:, 0, 1] * stretch[:, 1, 0]
-    adjugate = np.empty_like(stretch)
-    adjugate[:, 0, 0], adjugate[:, 1, 1] = stretch[:, 1, 1], stretch[:, 0, 0]
-    adjugate[:, 0, 1], adjugate[:, 1, 0] = -stretch[:, 0, 1], -stretch[:, 1, 0]
+    units = np.eye(MARKERS).reshape(GRID_ROWS, GRID_COLS, MARKERS)
+    along_u = np.asarray(np.gradient(units, float(np.mean(np.diff(rest[..., 0], axis=1))), axis=1))
+    along_v = np.asarray(np.gradient(units, float(np.mean(np.diff(rest[..., 1], axis=0))), axis=0))
+    return np.stack([along_u.reshape(MARKERS, MARKERS), along_v.reshape(MARKERS, MARKERS)])
+
+
+def _quadratic_form(
+    slopes: FloatArray, displacement_px: FloatArray
+) -> tuple[Float32, Float32, Float32]:
+    """Return a, b, c (63, 1) of |A p|² = a x² + 2 b x y + c y² with A the inverse of I + ∂d/∂p."""
+    along_u, along_v = slopes @ displacement_px
+    stretch_u, stretch_v = 1.0 + along_u[:, 0], 1.0 + along_v[:, 1]
+    cross_u, cross_v = along_u[:, 1], along_v[:, 0]
     # A fold of the gel (determinant near zero) is beyond the model: keep the dot finite.
-    return np.asarray(adjugate / np.maximum(determinant, 0.3)[:, None, None], dtype=np.float64)
-
-
-def _quadratic_form(inverse: Float32) -> tuple[Float32, Float32, Float32]:
-    """Return a, b, c (63, 1) of |A p|² = a x² + 2 b x y + c y²."""
-    a = inverse[:, 0, 0] ** 2 + inverse[:, 1, 0] ** 2
-    b = inverse[:, 0, 0] * inverse[:, 0, 1] + inverse[:, 1, 0] * inverse[:, 1, 1]
-    c = inverse[:, 0, 1] ** 2 + inverse[:, 1, 1] ** 2
-    return a[:, None], b[:, None], c[:, None]
+    square = np.maximum(stretch_u * stretch_v - cross_u * cross_v, 0.3) ** 2
+    a = (stretch_v**2 + cross_u**2) / square
+    b = -(stretch_v * cross_v + stretch_u * cross_u) / square
+    c = (stretch_u**2 + cross_v**2) / square
+    form = np.stack([a, b, c]).astype(np.float32)[..., None]
+    return form[0], form[1], form[2]

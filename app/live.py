@@ -103,8 +103,6 @@ class LivePresenter:
             detail = f"{health.rate_hz:.0f} Hz, {1e3 * max(health.age_s, 0):.0f} ms"
         else:
             detail = device.state.value
-        if health.lost:
-            detail += f", {health.lost} lost"
         who = device.identity
         tip = f"{device.state.value}; {health.received} received, {health.lost} lost"
         if who is not None:
@@ -122,7 +120,8 @@ class LivePresenter:
             return
         health = device.health
         lost = f", {health.lost} lost" if health.lost else ""
-        panel.detail.setText(f"{seen}/{total} seen, {health.rate_hz:.1f} Hz{lost}")
+        panel.detail.setToolTip("markers seen, measured rate, frames lost")
+        panel.detail.setText(f"{seen}/{total}, {health.rate_hz:.1f} Hz{lost}")
 
     def _why_silent(self, finger: Finger) -> str:
         device = self._link.devices.get(f"tactile_{finger}")

@@ -8,7 +8,7 @@ from pathlib import Path
 from app.review_page import ReviewPage
 from app.run_story import RunStory, TrialStory, scene_of
 from app.tally import wilson
-from backend.core.facts import RunStarted, Said, TrialFinished, TrialStarted
+from backend.core.facts import Said, TrialFinished
 from backend.core.faults import InputError
 from backend.core.flow import FloatArray, Outcome
 from backend.objects.catalogue import Catalogue, load_catalogue
@@ -62,8 +62,6 @@ class ReviewPresenter:
                     lines.append((trial, fact.text))
                 elif isinstance(fact, TrialFinished):
                     lines.append((trial, f"{WORDS[fact.outcome].capitalize()}: {fact.reason}"))
-                elif isinstance(fact, (RunStarted, TrialStarted)):
-                    continue
         except (InputError, OSError) as error:
             what = error.what if isinstance(error, InputError) else str(error)
             self._cards.show_card(
@@ -170,4 +168,5 @@ def run_title(name: str) -> str:
 
 def _trial_title(trial: TrialStory) -> str:
     word = "not finished" if trial.finished is None else WORDS[trial.finished.outcome]
-    return f"{trial.trial + 1}.  seed {trial.seed}: {word}, {len(trial.probes)} probes"
+    probes = len(trial.probes)
+    return f"{trial.trial}.  seed {trial.seed}: {word}, {probes} {'probe' if probes == 1 else 'probes'}"

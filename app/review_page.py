@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QHBoxLayout, QListWidget, QPushButton, QVBoxLayout, QWidget
 
 from widgets.belief_legend import BeliefLegend
@@ -34,6 +35,7 @@ class ReviewPage(QWidget):
             widget.setAccessibleName(name)
         self.refresh.setToolTip("Look for new runs")
         self.story.setWordWrap(True)
+        self.story.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self._arrange()
 
     def _arrange(self) -> None:

@@ -131,7 +131,7 @@ class StackPresenter:
         if buttons != self._buttons:
             self._buttons = buttons
             self._page.run.show_buttons(buttons)
-        text = f"trial {status.trial + 1} of {status.trials}" if active and status.trials else ""
+        text = f"trial {status.trial} of {status.trials}" if active and status.trial else ""
         if text and status.phase:
             text += f", probe {status.probe}: {status.phase}" if status.probe else ""
         self._page.run.detail.setText(text)

@@ -8,7 +8,7 @@ import numpy as np
 
 from backend.core.flow import BeliefMap, FloatArray, Stability
 
-LEAST_HALF_MM = 14.0
+LEAST_HALF_MM = 10.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,7 +38,7 @@ def signed_mm(value: float) -> str:
 
 
 def decide_in_words(stability: Stability | None, action: PlaceAction | None) -> DecisionText:
-    """Put verdict, margin and move into words; the numbers are the backend's."""
+    """Put verdict and margin into words; the reason with its numbers is the backend's."""
     if stability is None:
         return NOTHING_YET
     if stability.support is SupportKind.NO_ESTIMATE or math.isnan(stability.margin_mm):
@@ -47,17 +47,8 @@ def decide_in_words(stability: Stability | None, action: PlaceAction | None) -> 
         verdict, tone = "\N{CHECK MARK} Would stand", "good"
     else:
         verdict, tone = "\N{MULTIPLICATION X} Would fall", "bad"
-    move = _move(action) if action is not None else ""
-    return DecisionText(verdict, tone, signed_mm(stability.margin_mm), move)
-
-
-def _move(action: PlaceAction) -> str:
-    if action.kind != "shift":
-        return action.reason
-    dx, dy = action.step_mm
-    heading = math.degrees(math.atan2(dy, dx)) % 360.0
-    move = f"Move {math.hypot(dx, dy):.1f} mm at {heading:.0f}\N{DEGREE SIGN}"
-    return f"{action.reason} {move}{' (clipped)' if action.clipped else ''}."
+    reason = action.reason if action is not None else ""
+    return DecisionText(verdict, tone, signed_mm(stability.margin_mm), reason)
 
 
 class DecisionPanel(QFrame):

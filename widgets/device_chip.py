@@ -80,6 +80,11 @@ class DeviceChip(QWidget):
         painter.setFont(ui_font(self._theme.scale, 0.86, 600))
         painter.drawText(QRectF(22, 3, width, middle - 2), int(Qt.AlignmentFlag.AlignBottom),
                          self._name)  # fmt: skip
+        if self.value.lost:
+            painter.setFont(ui_font(self._theme.scale, 0.8, 500))
+            painter.drawText(QRectF(22, 3, width - 4, middle - 2),
+                             int(Qt.AlignmentFlag.AlignBottom | Qt.AlignmentFlag.AlignRight),
+                             f"{self.value.lost} lost")  # fmt: skip
         painter.setPen(t.colour("muted"))
         painter.setFont(ui_font(self._theme.scale, 0.8))
         detail = painter.fontMetrics().elidedText(

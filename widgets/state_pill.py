@@ -63,6 +63,8 @@ class StatePill(QWidget):
         self.setFont(ui_font(self._theme.scale, 1.0, 600))
         metrics = self.fontMetrics()
         width = max(metrics.horizontalAdvance(w) for w in (self.state.word, "CANCELLING"))
+        self.setFont(ui_font(self._theme.scale, 0.78))
+        width = max(width, self.fontMetrics().horizontalAdvance("simulated, reference"))
         return QSize(width + 52, 2 * metrics.height() + 6)
 
     def paintEvent(self, _event: QPaintEvent) -> None:

@@ -191,7 +191,7 @@ class StandInBench:
         """Announce a run and its first trial."""
         t = self.clock_s()
         self.hub.publish(RunStarted(t, "run", piece, bottom, "paper", 7, trials, True, "{}"))
-        self.tell_trial(0)
+        self.tell_trial(1)
 
     def tell_trial(self, trial):
         """Announce a trial."""

@@ -93,7 +93,7 @@ def test_the_true_overlap_appears_only_after_the_trial(live, bench):
 
 def test_the_score_counts_and_gives_the_interval(live, bench):
     told(live, bench, Outcome.PLACED)
-    bench.tell_trial(1)
+    bench.tell_trial(2)
     bench.tell_end(Outcome.FELL)
     settle(live)
     score = live.page.score
@@ -110,7 +110,7 @@ def test_wilson_against_scipy(placed, trials):
 
 def test_a_new_trial_empties_the_map(live, bench):
     told(live, bench, Outcome.PLACED)
-    bench.tell_trial(1)
+    bench.tell_trial(2)
     settle(live)
     assert live.page.belief.scene.belief is None
     assert live.page.strip.thumbnails == []

@@ -224,7 +224,6 @@ def test_the_decision_names_the_backend_numbers():
     assert text.tone == "bad"
     assert text.margin == "\N{MINUS SIGN}2.1 mm"
     assert "2.1 mm outside" in text.text
-    assert "Move 3.0 mm at 207\N{DEGREE SIGN} (clipped)" in text.text
     good = decide_in_words(stability((1.0, 0.0), 1.6), action((1.0, 0.0), 1.6))
     assert good.tone == "good"
     assert "Would stand" in good.verdict

@@ -13,14 +13,15 @@ from dataclasses import dataclass
 from backend.core.faults import InputError
 
 KINDS: dict[str, tuple[str, ...]] = {
-    "tactile_left": ("freeze", "stop", "dark"),
-    "tactile_right": ("freeze", "stop", "dark"),
+    "tactile_left": ("freeze", "stop", "dark", "flicker"),
+    "tactile_right": ("freeze", "stop", "dark", "flicker"),
     "force_torque": ("nan", "stop", "jump"),
     "arm": ("stall", "silent"),
     "gripper": ("stall",),
 }
-"""freeze: the same picture for ever; stop: nothing arrives; dark: the light fails; nan: samples are
-not numbers; jump: +50 N on Fz; stall: commanded but not moving; silent: no positions arrive."""
+"""freeze: the same picture for ever; stop: nothing arrives; dark: the light fails; flicker: the
+brightness swings by 25 %; nan: samples are not numbers; jump: +50 N on Fz; stall: commanded but not
+moving; silent: no positions arrive."""
 
 _FORM = re.compile(
     r"(?P<device>[a-z_]+):(?P<kind>[a-z]+)@(?P<start>\d+(\.\d+)?)(\+(?P<length>\d+(\.\d+)?))?"

@@ -61,7 +61,7 @@ class FingerCamera:
             share = (t_us - start_us) / (end_us - start_us)
             field = sight.before_px + share * (sight.after_px - sight.before_px)
             field = field + sight.bias_px + self._drift_px
-            taken.append(Shot(sequence, t_us, self._optics.render(field, hidden, sequence)))
+            taken.append(Shot(sequence, t_us, self._optics.render(field, hidden)))
         return taken
 
     def _aim(self) -> None:

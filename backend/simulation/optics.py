@@ -44,9 +44,8 @@ Float32 = NDArray[np.float32]
 class FingerOptics:
     """One finger's camera. Same seed, same calls: the same bytes."""
 
-    def __init__(self, look: GelLook, seed: int, *, flicker: float = 0.0) -> None:
-        """``flicker``: amplitude of a brightness swing (0.25 = ±25 %), by the frame's phase."""
-        self.look, self._flicker = look, flicker
+    def __init__(self, look: GelLook, seed: int) -> None:
+        self.look = look
         fixed = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 1])))
         self._draws = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 2])))
         self._slopes = _slopes(look.rest_px)
@@ -68,17 +67,13 @@ class FingerOptics:
         self._mask = np.zeros((HEIGHT_PX, WIDTH_PX), dtype=np.float32)
         self._frame = np.empty((3, HEIGHT_PX, WIDTH_PX), dtype=np.float32)
 
-    def render(
-        self, displacement_px: FloatArray, hidden: NDArray[np.bool_], phase: float = 0.0
-    ) -> ImageArray:
+    def render(self, displacement_px: FloatArray, hidden: NDArray[np.bool_]) -> ImageArray:
         """Return the image for ``displacement_px`` (63, 2); smears cover ``hidden`` dots (63,)."""
         centre_px = self.look.rest_px + displacement_px
         self._draw_dots(centre_px, displacement_px)
         self._shade()
         for marker in np.flatnonzero(hidden):
             self._smear(centre_px[marker])
-        if self._flicker:
-            self._frame *= np.float32(1.0 + self._flicker * np.sin(1.3 * phase))
         self._add_noise()
         # Rounds and saturates in one pass; levels are never far below zero, so their sign is safe.
         flat = cv2.convertScaleAbs(self._frame.reshape(3 * HEIGHT_PX, WIDTH_PX))

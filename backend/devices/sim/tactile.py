@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Mapping
 
@@ -13,6 +14,9 @@ from backend.devices.protocols import DeviceState, Health, Identity
 from backend.devices.sim.connection import Connection
 from backend.simulation.disturbances import Script
 from backend.simulation.finger_camera import Shot
+
+FLICKER = 0.25
+"""Swing of the brightness, by the law of the tracker's known-truth test."""
 
 
 class SimTactile:
@@ -84,11 +88,15 @@ class SimTactile:
                 continue
             lost = 0 if self._newest is None else shot.sequence - self._newest - 1
             self._newest = shot.sequence
-            image = self._seen(shot.image, t_s)
+            image = self._seen(shot, t_s)
             self._frames.put(t_s, TactileFrame(self._finger, shot.sequence, t_s, image))
             self._connection.arrived(t_s, 1, lost)
 
-    def _seen(self, image: ImageArray, t_s: float) -> ImageArray:
+    def _seen(self, shot: Shot, t_s: float) -> ImageArray:
+        image = shot.image
+        if self._script.active(self.name, "flicker", t_s):
+            light = 1.0 + FLICKER * math.sin(1.3 * shot.sequence)
+            return np.asarray(np.clip(image * light, 0, 255), dtype=np.uint8)
         if self._script.active(self.name, "dark", t_s):
             return np.asarray(image // 16, dtype=np.uint8)
         if not self._script.active(self.name, "freeze", t_s):

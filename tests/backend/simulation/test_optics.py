@@ -145,9 +145,3 @@ def test_the_other_finger_is_mirrored(look):
     right = FingerOptics(other, 2).render(np.full((MARKERS, 2), 1e4), NOBODY).astype(float)
     smooth = [cv2.GaussianBlur(image, (0, 0), 5.0) for image in (left, right[:, ::-1])]
     assert np.abs(smooth[0] - smooth[1]).max() < 3.0
-
-
-def test_flicker_swings_the_brightness(look):
-    optics = FingerOptics(look, 1, flicker=0.25)
-    phases = [optics.render(STILL, NOBODY, k).mean() for k in range(12)]
-    assert min(phases) / max(phases) == pytest.approx(0.75 / 1.25, abs=0.05)

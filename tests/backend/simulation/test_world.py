@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from backend.config.simulation import SimulationSettings
+from backend.core.faults import FaultError
 from backend.core.flow import FINGERS, Pose
 from backend.devices.protocols import PressCommand
 from backend.devices.sim.bench import BenchStreams, SimulatedBench
@@ -307,6 +308,40 @@ def test_scripted_faults_reach_the_devices():
     assert bad.sum() == pytest.approx(200, abs=10)
     assert samples.t_s[-1] < 1.01
     assert driven.arm.poses.since(0).t_s[-1] < 1.01
+
+
+def test_light_faults_change_the_brightness_only_while_they_last():
+    driven = Driven(
+        script=("tactile_left:flicker@0.5+0.5", "tactile_right:dark@0.5+0.5"), cameras=True
+    )
+    driven.rest(1.5)
+
+    def brightness(finger, start_s, end_s):
+        frames = driven.bench.tactile[finger].frames.since(0)[0]
+        return [f.image.mean() for f in frames if start_s < f.t_s < end_s]
+
+    calm, swing = brightness("left", 0.0, 0.49), brightness("left", 0.51, 0.99)
+    assert max(calm) / min(calm) < 1.01
+    assert max(swing) / min(swing) == pytest.approx(1.25 / 0.75, rel=0.1)
+    assert max(brightness("right", 0.51, 0.99)) < 0.1 * min(brightness("right", 1.01, 1.5))
+
+
+def test_beside_the_support_the_press_finds_nothing():
+    driven = Driven((40.0, 0.0)).grip()
+    motion = driven.arm.press(PRESS)
+    with pytest.raises(FaultError, match="NO-CONTACT"):
+        driven.finish(motion)
+
+
+def test_gel_creeps_back_after_a_press_when_hysteresis_is_on():
+    driven = Driven((2.0, 1.0), grasp={"hysteresis": True}).grip()
+    driven.press()
+    pressed = np.abs(driven.bench._world._field_px).max()
+    driven.move(dz=3.0)
+    left = np.abs(driven.bench._world._field_px).max()
+    driven.rest(3.0)
+    assert 0.01 * pressed < left < 0.2 * pressed
+    assert np.abs(driven.bench._world._field_px).max() < 0.02 * left
 
 
 def test_a_stalled_arm_does_not_arrive():

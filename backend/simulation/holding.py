@@ -61,7 +61,7 @@ class Holding:
         ).wrench_g()
         """(6,) weight of the piece at ``G``, N and N·mm."""
         self.sensed = False
-        """Whether the sensor errors of the probe apply: from its press on until it is lifted off."""
+        """Whether the sensor errors of the probe apply: from its press until it is lifted off."""
         self._lowered = False
 
     def begin_probe(self, probe: ProbeSettings) -> None:

@@ -168,5 +168,5 @@ def run_title(name: str) -> str:
 
 def _trial_title(trial: TrialStory) -> str:
     word = "not finished" if trial.finished is None else WORDS[trial.finished.outcome]
-    probes = len(trial.probes)
-    return f"{trial.trial}.  seed {trial.seed}: {word}, {probes} {'probe' if probes == 1 else 'probes'}"
+    probes = "1 probe" if len(trial.probes) == 1 else f"{len(trial.probes)} probes"
+    return f"{trial.trial}.  seed {trial.seed}: {word}, {probes}"

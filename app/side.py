@@ -18,7 +18,8 @@ from backend.objects.catalogue import Piece
 from widgets.panel import Panel
 from widgets.side_view import SideBody, SideScene, SideView
 
-FINGER_TRAVEL_MM = 60.0
+EVERY = 2
+"""Drawn on every second tick: 15 pictures a second are smooth for an arm."""
 
 
 class SidePresenter:
@@ -38,6 +39,7 @@ class SidePresenter:
         self._fall: Fall | None = None
         self._fall_s = 0.0
         self._stands: bool | None = None
+        self._tick = 0
 
     def take(self, fact: Fact) -> None:
         """Note what is in the scene and what was let go."""
@@ -53,7 +55,8 @@ class SidePresenter:
 
     def draw(self) -> None:
         """Show the present scene."""
-        if not self._view.isVisible() or self._piece is None:
+        self._tick += 1
+        if not self._view.isVisible() or self._piece is None or self._tick % EVERY:
             return
         piece = self._let_go
         caption = ""

@@ -7,6 +7,7 @@ Every widget takes its colours from here, so that one call switches all of them.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cache
 from importlib.resources import files
 from typing import Literal
 
@@ -116,8 +117,12 @@ def load_resources() -> None:
     QDir.addSearchPath("icons", str(resources.joinpath("icons")))
 
 
+@cache
 def ui_font(scale: float = 1.0, size: float = 1.0, weight: int = 400) -> QFont:
-    """Return the interface font; ``size`` is a multiple of the base, digits have equal widths."""
+    """Return the interface font; ``size`` is a multiple of the base, digits have equal widths.
+
+    Fonts are shared between callers: making one anew costs as much as drawing a line of text.
+    """
     font = QFont(["Inter", "DejaVu Sans"])
     font.setPointSizeF(BASE_POINTS * scale * size)
     font.setWeight(QFont.Weight(weight))

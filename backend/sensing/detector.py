@@ -23,8 +23,9 @@ _HALF_WINDOW_PX = 10
 _SPAN = np.arange(-_HALF_WINDOW_PX, _HALF_WINDOW_PX + 1, dtype=np.float32)
 _BLUR_SIGMA_PX = 12.0
 _DARKEST_MEAN = 16.0
-_BLOB_DEPTH = 0.15
-_RAMP = (0.05, 0.45)
+_LIGHT_SHARE = 0.9
+_BLOB_DEPTH = 0.25
+_RAMP = (0.15, 0.55)
 _WEIGHT_SIGMA_PX = 5.0
 _AREA_OF_DOUBLE_GAIN_PX2 = 220.0
 _STEPS = 2
@@ -79,7 +80,7 @@ class Detector:
         cv2.max(cv2.max(blue, green, self._brightest), red, self._brightest)
         _shrink(self._brightest, self._half)
         _shrink(self._half, self._quarter)
-        mean = cv2.GaussianBlur(self._quarter.astype(np.float32), (0, 0), _BLUR_SIGMA_PX / 4)
+        mean = _background(self._quarter.astype(np.float32))
         self.brightness = float(mean.mean())
         cv2.resize(np.maximum(mean, _DARKEST_MEAN), (WIDTH_PX, HEIGHT_PX), self._mean)
         np.copyto(self._bright, self._brightest)
@@ -124,6 +125,16 @@ class Detector:
             mass, shift = _moments(weight, position - middle)
             position = position + gain * shift
         return Centres(position, mass)
+
+
+def _background(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the local mean of ``picture`` without its dark dots, which would tilt it."""
+    sigma = _BLUR_SIGMA_PX / 4
+    mean = cv2.GaussianBlur(picture, (0, 0), sigma)
+    light = (picture > _LIGHT_SHARE * mean).astype(np.float32)
+    light += np.float32(1e-3)
+    total = cv2.GaussianBlur(light * picture, (0, 0), sigma)
+    return np.asarray(total / cv2.GaussianBlur(light, (0, 0), sigma), dtype=np.float32)
 
 
 def _shrink(source: NDArray[np.generic], target: NDArray[np.generic]) -> None:

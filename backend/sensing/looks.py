@@ -7,9 +7,13 @@ from numpy.typing import NDArray
 
 from backend.core.flow import MARKERS, FloatArray
 
-OWN_RANGE = (0.7, 1.45)
-"""Ratio to the marker's own usual look; real gels in grasp stay within 0.73 .. 1.25."""
-COMMON_RANGE = (0.5, 1.9)
+OWN_RANGE = np.array([[0.7, 0.5], [1.45, 1.45]])
+"""Lowest and highest ratio of darkness and area to the marker's own usual look.
+
+Real gels in grasp stay within 0.89 .. 1.17 and 0.73 .. 1.25; light flecks may cost small dots more
+of their area.
+"""
+COMMON_RANGE = np.array([[0.5, 0.5], [1.9, 1.9]])
 """Ratio to the look of the other markers, where a marker has no own yet or was long hidden."""
 MEMORY = 0.05
 
@@ -37,8 +41,8 @@ class UsualLooks:
             typical = np.median(own[fresh] if fresh.any() else looks, axis=0)
             expected = np.where(fresh[:, None], own, np.maximum(typical, 1e-6))
         ratio = looks / expected
-        lowest = np.where(fresh, OWN_RANGE[0], COMMON_RANGE[0])[:, None]
-        highest = np.where(fresh, OWN_RANGE[1], COMMON_RANGE[1])[:, None]
+        lowest = np.where(fresh[:, None], OWN_RANGE[0], COMMON_RANGE[0])
+        highest = np.where(fresh[:, None], OWN_RANGE[1], COMMON_RANGE[1])
         good = ((ratio >= lowest) & (ratio <= highest)).all(axis=1)
         blend = np.where(fresh, MEMORY, 1.0)[:, None]
         self._usual[markers[good]] = (own + blend * (looks - own))[good]

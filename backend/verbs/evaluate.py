@@ -66,7 +66,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
 def score_table(title: str, scores: dict[str, Scores], trained_on: set[str]) -> Table:
     """Return the table of scores; bottoms never seen in training are marked."""
     table = Table(title=title, caption="n = 1; 95 % Wilson interval of the stability accuracy")
-    for column in ("bottom", "episodes", "IoU %", "points right %", "stability right %",
+    for column in ("bottom", "episodes", "IoU %", "points right %", "stable right %",
                    "base rate %", "unsafe %"):  # fmt: skip
         table.add_column(column, justify="left" if column == "bottom" else "right")
     for name, s in scores.items():

@@ -29,8 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--test-episodes", type=int, default=400, help="per unseen bottom")
     parser.add_argument("--epochs", type=int, help="default: that of 'touchdown train'")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--probes-per-grip", type=int, default=10)
-    parser.add_argument("--grips-per-mounting", type=int, default=5)
+    parser.add_argument("--probes-per-grip", type=int, default=1)
+    parser.add_argument("--grips-per-mounting", type=int, default=1)
     parser.add_argument("--workers", type=int, default=2, help="processes that simulate")
     parser.add_argument("--threads", type=int, default=1, help="processor threads that train")
 

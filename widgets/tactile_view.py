@@ -55,8 +55,8 @@ class TactileView(QWidget):
         """Say how old the picture is; beyond 2 s the picture is removed and ``reason`` shown."""
         if age is Age.FRESH and self._age is Age.FRESH:
             return
-        changed = age is not self._age or reason != self._reason
-        if changed or int(10 * age_s) != int(10 * self._age_s):
+        tenth = f"{age_s:.1f}" != f"{self._age_s:.1f}"
+        if age is not self._age or reason != self._reason or tenth:
             self._age, self._age_s, self._reason = age, age_s, reason
             self.update()
 

@@ -64,6 +64,7 @@ def field(displacement, state=None):
 
 def test_tactile_without_a_frame_says_so(qtbot, theme):
     view = shown(qtbot, TactileView(theme, "left"))
+    view.show_age(Age.NEVER, float("inf"), "The bench is being prepared.")
     assert pixels(view).std() > 5  # the sentence
     assert view.seen() == (0, 0)
 

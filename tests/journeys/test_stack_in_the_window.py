@@ -1,0 +1,136 @@
+"""An operator stacks in the window: the real bench, stepped by hand instead of by its thread."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication
+
+import backend.assembly as assembly
+from app.application import TouchdownApp
+from app.error_hooks import ErrorBox
+from backend.core.flow import ContactPatch, Outcome
+from backend.objects.surface import face_points
+from backend.runs.requests import RunState, StackRequest
+from backend.session import Keep
+from widgets.run_panel import RunForm
+
+BOTTOM_RADIUS_MM = 10.0
+
+
+class KnowsTheBottom:
+    """Estimates the contact of a face on the short bottom from the offset alone (no training)."""
+
+    base_rate = 0.3
+
+    def __init__(self, piece):
+        self._points = face_points(piece.face)
+
+    def estimate(self, episode):
+        inside = BOTTOM_RADIUS_MM - np.hypot(*(self._points + episode.offset_mm).T)
+        return ContactPatch(self._points.copy(), 1 / (1 + np.exp(-np.clip(1.2 * inside, -4, 4))))
+
+
+class SteppedSession:
+    """A session whose time the test turns; everything else is the session itself."""
+
+    def __init__(self, session):
+        self._session = session
+
+    def __getattr__(self, name):
+        return getattr(self._session, name)
+
+    def open(self):
+        """No thread."""
+
+    def step(self):
+        self._session.engine.tick()
+        self._session.advance()
+
+
+@pytest.fixture
+def desk(qapp, qtbot, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        assembly.Estimator, "load", staticmethod(lambda path, piece: KnowsTheBottom(piece))
+    )
+    monkeypatch.setattr(assembly, "shipped_model", lambda name: Path(name))
+    runs = tmp_path / "runs"
+    session = assembly.simulated_session(keep=Keep(runs, episodes=False))
+    session.prepare(StackRequest())
+    link = SteppedSession(session)
+    main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", runs)
+    main.attach(link)
+    main.window.show()
+    qtbot.waitExposed(main.window)
+    for _ in range(4):
+        main.pump.tick()
+    yield main, link
+    main.close()
+    main.window.deleteLater()
+    main.deleteLater()
+
+
+def turn_until(main, link, done, most=1500):
+    """Turn bench and window together until ``done``."""
+    for step in range(most):
+        link.step()
+        if step % 2 == 0:
+            main.pump.tick()
+            QApplication.processEvents()
+        if done():
+            for _ in range(12):
+                main.pump.tick()
+            return
+    told = [main.cards.card(c).text for c in main.cards.codes]
+    pytest.fail(f"the run did not get there: {link.status()} {told}")
+
+
+@pytest.mark.slow
+def test_stack_look_back_and_review(desk, qtbot, tmp_path):
+    main, link = desk
+    main.page.run.show_form(RunForm(seed=7, trials=1))
+    main.page.run.start.click()
+    turn_until(main, link, lambda: main.stack.story.ended is not None)
+    assert main.stack.story.ended.ending == "finished"
+    assert main.stack.story.outcomes == (Outcome.PLACED,)
+    trial = main.stack.story.trial
+    assert len(trial.probes) >= 2
+    assert main.page.score._count.text() == "1 of 1 placed"
+    assert "Placed" in main.page.decision._verdict.text()
+    truth = main.page.belief.scene.truth
+    assert truth is not None
+    assert main.page.tactile["left"].seen()[1] == 63
+    assert main.page.force.buckets.largest() > 4.0
+    # The hull of the estimate lies over the true overlap: offsets of the map are understood.
+    hull = trial.probes[-1].stability.hull_mm
+    assert np.linalg.norm(hull.mean(axis=0) - truth.mean(axis=0)) < 2.5
+    # Every run is kept and can be looked at again.
+    main.actions.action("review").trigger()
+    main.review_page.runs.setCurrentRow(0)
+    assert main.review_page.trials.count() == 1
+    assert len(main.review_page.strip.thumbnails) == len(trial.probes)
+    reviewed = main.review.story.trial.probes[-1]
+    assert reviewed.stability.margin_mm == pytest.approx(trial.probes[-1].stability.margin_mm)
+
+
+@pytest.mark.slow
+def test_approve_then_stop_then_reset(desk, qtbot):
+    main, link = desk
+    main.page.run.show_form(RunForm(seed=7, trials=1, mode="approve"))
+    main.page.run.start.click()
+    turn_until(main, link, lambda: link.status().awaiting is not None)
+    assert main.bar.pill.state.word == "YOUR TURN"
+    probe = link.status().probe
+    QTest.keyClick(main.window, Qt.Key.Key_A)
+    turn_until(main, link, lambda: link.status().phase == "press" and link.status().probe > probe)
+    QTest.keyClick(main.window.windowHandle(), Qt.Key.Key_Space)
+    assert link.interlock.latched
+    turn_until(main, link, lambda: link.status().state is RunState.IDLE)
+    assert main.stack.story.ended.ending == "stopped"
+    assert main.bar.pill.state.word == "STOPPED"
+    main.cards.card("STOPPED")._act()
+    turn_until(main, link, lambda: main.bar.pill.state.word == "READY")
+    assert main.page.run.start.isEnabled()
+    assert main.cards.codes == ()

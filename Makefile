@@ -9,7 +9,7 @@ export PYTHON
 BIN := .venv/bin
 TESTS ?= tests
 WORKERS ?= 2
-EPISODES ?= 2000
+EPISODES ?= 4000
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -57,13 +57,8 @@ screens: setup ## rewrite the screenshots in docs/img
 	        --grab docs/img/stack-$$theme.png --after 20; \
 	done
 
-models: setup ## train the models that ship, from nothing (the longest target)
-	@for piece in pot mushroom barrel; do \
-	    $(BIN)/touchdown simulate --piece $$piece --bottoms circle15,circle25,square15 \
-	        --episodes $(EPISODES) --seed 1 --out output/models/$$piece-$(EPISODES); \
-	    $(BIN)/touchdown train output/models/$$piece-$(EPISODES) --piece $$piece --seed 0 \
-	        --out resources/models/$$piece.safetensors; \
-	done
+models: setup ## make the models that ship, from nothing (the longest target)
+	@$(BIN)/touchdown models --pieces pot,mushroom,barrel --episodes $(EPISODES) --epochs 18 --seed 2
 
 clean: ## remove what the other targets made (not the data)
 	@rm -rf .venv build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

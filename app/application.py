@@ -135,10 +135,11 @@ class TouchdownApp(QObject):
         if link is not None:
             link.close()
 
-    def quit_at_once(self) -> None:
+    def quit_at_once(self, status: int = 0) -> None:
         """Close without a question (for pictures and measurements)."""
         self._closing_allowed = True
         self.window.close()
+        self._application.exit(status)
 
     @property
     def pace(self) -> float:
@@ -254,7 +255,8 @@ class TouchdownApp(QObject):
 
     def _restyle(self, theme: int, scale: float) -> None:
         self.theme.apply(self._application, THEMES[theme % len(THEMES)], scale)
-        self.window.draw_icons()
+        self.window.fit_to_theme()
+        self.page.fit_to_theme()
         self.page.run.draw_icons()
 
     def _show_keys(self) -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from PySide6.QtCore import QSize, Qt
-from PySide6.QtGui import QCloseEvent
+from PySide6.QtGui import QCloseEvent, QFontMetrics
 from PySide6.QtWidgets import (
     QFrame,
     QHBoxLayout,
     QMainWindow,
+    QScrollArea,
     QSizePolicy,
     QStackedWidget,
     QToolButton,
@@ -21,10 +22,12 @@ from widgets.fault_cards import FaultCards
 from widgets.icons import icon
 from widgets.panel import label
 from widgets.stripes import SimulatedBanner
-from widgets.theme import Theme
+from widgets.theme import Theme, ui_font
 from widgets.top_bar import TopBar
 
 MINIMUM = QSize(1280, 720)
+PAGE_EM = (74, 33)
+"""A page needs this much room, in heights of the base font; with less it scrolls."""
 USUAL = QSize(1600, 940)
 RAIL = (("stack", "Stack"), ("review", "Review"), ("theme", "Theme"), ("keys", "Keys"))
 
@@ -36,19 +39,20 @@ class MainWindow(QMainWindow):
         self, theme: Theme, bar: TopBar, cards: FaultCards, pages: dict[str, QWidget]
     ) -> None:
         super().__init__()
-        self._theme = theme
+        self._theme, self._bar = theme, bar
         self.may_close: Callable[[], bool] = bool
         self.pages = pages
         self._stack = QStackedWidget()
-        for page in pages.values():
-            self._stack.addWidget(page)
+        self._scrolls = {name: _scrolled(page) for name, page in pages.items()}
+        for scroll in self._scrolls.values():
+            self._stack.addWidget(scroll)
         self.rail = {name: _rail_button(text) for name, text in RAIL}
         self._message, self._right = label("", "muted"), label("", "small")
         self._banner = SimulatedBanner(theme)
         self._arrange(bar, cards)
         self.setMinimumSize(MINIMUM)
         self.resize(USUAL)
-        self.draw_icons()
+        self.fit_to_theme()
         self.show_page("stack")
 
     def _arrange(self, bar: TopBar, cards: FaultCards) -> None:
@@ -98,7 +102,7 @@ class MainWindow(QMainWindow):
 
     def show_page(self, name: str) -> None:
         """Bring a workspace to the front."""
-        self._stack.setCurrentWidget(self.pages[name])
+        self._stack.setCurrentWidget(self._scrolls[name])
         for key in ("stack", "review"):
             self.rail[key].setChecked(key == name)
 
@@ -117,8 +121,15 @@ class MainWindow(QMainWindow):
         self._banner.setVisible(simulated)
         self.setWindowTitle("Touchdown (SIMULATED)" if simulated else "Touchdown")
 
-    def draw_icons(self) -> None:
-        """Draw the rail's icons in the colours of the theme."""
+    def fit_to_theme(self) -> None:
+        """Draw the rail's icons in the theme's colours; larger text scrolls, it is never cut."""
+        em = QFontMetrics(ui_font(self._theme.scale)).height()
+        for page in self.pages.values():
+            page.setMinimumSize(PAGE_EM[0] * em, PAGE_EM[1] * em)
+        for button in self.rail.values():
+            button.setMinimumWidth(round(3.7 * em))
+        self._bar.ensurePolished()
+        self.setMinimumWidth(max(MINIMUM.width(), self._bar.minimumSizeHint().width()))
         for name, button in self.rail.items():
             button.setIcon(icon(name, self._theme.tokens.colour("text"), 22))
 
@@ -130,6 +141,15 @@ class MainWindow(QMainWindow):
             event.ignore()
 
 
+def _scrolled(page: QWidget) -> QScrollArea:
+    scroll = QScrollArea()
+    scroll.setWidget(page)
+    scroll.setWidgetResizable(True)
+    scroll.setFrameShape(QFrame.Shape.NoFrame)
+    scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+    return scroll
+
+
 def _rail_button(text: str) -> QToolButton:
     button = QToolButton()
     button.setText(text)
@@ -138,6 +158,5 @@ def _rail_button(text: str) -> QToolButton:
     button.setIconSize(QSize(22, 22))
     button.setAccessibleName(text)
     button.setToolTip(text)
-    button.setMinimumWidth(58)
     button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
     return button

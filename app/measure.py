@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 
@@ -33,6 +34,7 @@ class Measurement(QObject):
     def _wait(self) -> None:
         """Begin two seconds after the bench is there and a run goes on."""
         if self._main.stack is None or self._main.live is None:
+            self._give_up_if_failed()
             return
         if self._warm_s == 0.0:
             self._main.stack.start()
@@ -42,6 +44,13 @@ class Measurement(QObject):
         self._timer.timeout.disconnect(self._wait)
         self._timer.timeout.connect(self._beat)
         self._begin()
+
+    def _give_up_if_failed(self) -> None:
+        if self._main.cards.codes:
+            text = self._main.cards.card(self._main.cards.codes[0]).text
+            sys.stderr.write(f"touchdown: {text.what} {text.next_step}\n")
+            self._timer.stop()
+            self._main.quit_at_once(1)
 
     def _begin(self) -> None:
         self._start_s = self._due_s = time.perf_counter()

@@ -38,6 +38,10 @@ class ReviewPage(QWidget):
         self.story.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self._arrange()
 
+    def heightForWidth(self, _width: int) -> int:
+        """Ask for no more than the least height: the views share what there is."""
+        return self.minimumHeight()
+
     def _arrange(self) -> None:
         runs = Panel("Recorded runs", self.runs)
         runs.column.addWidget(self.empty)

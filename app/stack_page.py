@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from PySide6.QtGui import QResizeEvent
+from PySide6.QtGui import QFontMetrics, QResizeEvent
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QToolButton, QVBoxLayout, QWidget
 
 from backend.core.flow import FINGERS, Finger
@@ -20,7 +20,7 @@ from widgets.run_panel import RunPanel
 from widgets.score_panel import ScorePanel
 from widgets.side_view import SideView
 from widgets.tactile_view import TactileView
-from widgets.theme import Theme
+from widgets.theme import Theme, ui_font
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +41,7 @@ class StackPage(QWidget):
     def __init__(self, theme: Theme, intents: StackIntents) -> None:
         super().__init__()
         self.setObjectName("frame")
+        self._theme = theme
         titles = {"left": "Tactile L", "right": "Tactile R"}
         self.tactile: dict[Finger, TactileView] = {f: TactileView(theme, f) for f in FINGERS}
         self.tactile_panels = {f: Panel(titles[f], self.tactile[f]) for f in FINGERS}
@@ -89,14 +90,26 @@ class StackPage(QWidget):
         panel.header.addWidget(fit)
         return panel
 
+    def fit_to_theme(self) -> None:
+        """Give the controls the width that their text needs."""
+        em = QFontMetrics(ui_font(self._theme.scale)).height()
+        self._right.setMinimumWidth(round(16.5 * em))
+
     def fit(self) -> None:
         """Fit the ranges of both plots."""
         self.force.fit()
         self.moment.fit()
 
+    def heightForWidth(self, _width: int) -> int:
+        """Ask for no more than the least height: the views share what there is."""
+        return self.minimumHeight()
+
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Leave out the side view where the controls need its room."""
         super().resizeEvent(event)
+        self._row.activate()
+        for view in self.tactile.values():
+            view.fit_height()
         controls = self.run.sizeHint().height() + self.score.sizeHint().height()
         self.side_panel.setVisible(self.height() > controls + 150)
 
@@ -112,13 +125,13 @@ class StackPage(QWidget):
         self._right = QWidget()
         self._right.setLayout(decide)
         decide.setContentsMargins(0, 0, 0, 0)
-        row = QHBoxLayout(self)
+        row = self._row = QHBoxLayout(self)
         row.setContentsMargins(10, 8, 10, 8)
         row.setSpacing(8)
         row.addLayout(feel, 10)
         row.addLayout(believe, 9)
         row.addWidget(self._right, 5)
-        self._right.setMinimumWidth(264)
+        self.fit_to_theme()
 
 
 def _column(*parts: tuple[QWidget | QHBoxLayout, int]) -> QVBoxLayout:

@@ -60,7 +60,7 @@ class DeviceChip(QWidget):
     def minimumSizeHint(self) -> QSize:
         """Return room for the name and the rate."""
         hint = self.sizeHint()
-        return QSize(self.fontMetrics().horizontalAdvance("Gripper0") + 26, hint.height())
+        return QSize(self.fontMetrics().horizontalAdvance("Tactile R") + 30, hint.height())
 
     def paintEvent(self, _event: QPaintEvent) -> None:
         """Draw mark, name and figures."""

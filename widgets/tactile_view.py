@@ -31,9 +31,7 @@ class TactileView(QWidget):
         self._age, self._age_s, self._reason = Age.NEVER, 0.0, ""
         self.paints = 0
         self.setAccessibleName(f"Tactile image, {finger} finger")
-        policy = QSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
-        policy.setHeightForWidth(True)
-        self.setSizePolicy(policy)
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
         self.setMinimumSize(160, 120)
         self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
 
@@ -41,9 +39,11 @@ class TactileView(QWidget):
         """Return the image's own size."""
         return QSize(IMAGE_W, IMAGE_H)
 
-    def heightForWidth(self, width: int) -> int:
-        """Return the height that leaves no bars."""
-        return width * IMAGE_H // IMAGE_W
+    def fit_height(self) -> None:
+        """Take the height that leaves no bars at the present width."""
+        height = self.width() * IMAGE_H // IMAGE_W
+        if height != self.minimumHeight():
+            self.setFixedHeight(height)
 
     def show_frame(self, frame: TactileFrame, field: MarkerField | None) -> None:
         """Show this frame and, if there is one, the newest marker field."""

@@ -39,6 +39,7 @@ class TopBar(QFrame):
         self.stop.setIcon(icon("stop", QColor("#FFFFFF")))
         self.stop.setIconSize(QSize(16, 16))
         self.stop.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.stop.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Preferred)
         self.stop.setAccessibleName("STOP motion, software stop")
         self.stop.setToolTip(
             "Stops arm and gripper at once and ends the run; the grip is kept. F12 anywhere, "

@@ -18,6 +18,8 @@ from backend.verbs.screen import Screen
 NAME = "stack"
 HELP = "stack a piece on the simulated bench, headless"
 JSON_VERSION = 1
+INPUT_CODE = "INPUT"
+"""Bad input is told once, by the command line itself."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -99,7 +101,7 @@ def narrate(fact: Fact, screen: Screen) -> None:
         screen.say(f"  {fact.t_s:6.2f} s  {fact.text}")
     elif isinstance(fact, PhaseEntered) and fact.phase in ("unload", "release"):
         screen.say(f"  {fact.t_s:6.2f} s  {fact.phase}")
-    elif isinstance(fact, FaultRaised):
+    elif isinstance(fact, FaultRaised) and fact.fault.code != INPUT_CODE:
         fault = fact.fault
         screen.say(
             f"  {fact.t_s:6.2f} s  FAULT {fault.code}: {fault.what} {fault.consequence} "

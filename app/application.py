@@ -61,7 +61,7 @@ class TouchdownApp(QObject):
         )
         self.window.may_close = self._may_close
         self._link: Link | None = None
-        self._arriving: list[Link | BaseException] = []
+        self._arriving: list[Link | Exception] = []
         self._mailbox = Mailbox()
         self.live: LivePresenter | None = None
         self.stack: StackPresenter | None = None
@@ -86,10 +86,14 @@ class TouchdownApp(QObject):
         """Build the bench on a thread of its own; the window stays alive meanwhile."""
 
         def build() -> None:
+            arrived: Link | Exception = RuntimeError("an error that nobody expected")
             try:
-                self._arriving.append(make())
+                arrived = make()
             except (TouchdownError, OSError, ValueError, ImportError, RuntimeError) as error:
-                self._arriving.append(error)
+                arrived = error
+            finally:
+                # Whatever happened, the window stops saying "connecting".
+                self._arriving.append(arrived)
 
         threading.Thread(target=build, name="connect", daemon=True).start()
 
@@ -276,7 +280,7 @@ class TouchdownApp(QObject):
     def _pull(self) -> bool:
         if self._arriving:
             arrived = self._arriving.pop()
-            if isinstance(arrived, BaseException):
+            if isinstance(arrived, Exception):
                 self._connect_failed(arrived)
             else:
                 self.attach(arrived)
@@ -305,7 +309,7 @@ class TouchdownApp(QObject):
         elif isinstance(fact, RunFinished) and fact.ending != "finished":
             self.window.show_message(f"The run was {fact.ending}: {fact.reason}")
 
-    def _connect_failed(self, error: BaseException) -> None:
+    def _connect_failed(self, error: Exception) -> None:
         self.bar.pill.show_state(PillState("NO DEVICES", "ring", "grey"))
         self.cards.show_card(
             CardText(

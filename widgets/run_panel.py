@@ -21,11 +21,11 @@ from widgets.panel import Panel, label
 from widgets.theme import Theme
 
 NOTHING = "nothing"
-STRATEGIES = (("paper", "Probe and believe"), ("pick-and-place", "Pick and place (baseline)"))
+STRATEGIES = (("paper", "Probe and believe"), ("pick-and-place", "Pick and place"))
 MODES = (
     ("auto", "Auto: no questions"),
     ("approve", "Approve each move"),
-    ("step", "Step: one move per press"),
+    ("step", "Step by step"),
 )
 
 

@@ -203,6 +203,18 @@ def test_closing_while_running_asks_and_stops_first(live, bench):
     assert not live.window.isVisible()
 
 
+def test_an_unexpected_failure_also_ends_the_connecting(main, qtbot, monkeypatch):
+    monkeypatch.setattr("threading.excepthook", lambda args: None)
+
+    def fail():
+        raise KeyError("nobody expected this")
+
+    main.connect_bench(fail)
+    qtbot.waitUntil(lambda: bool(main._arriving), timeout=3000)
+    settle(main)
+    assert main.bar.pill.state.word == "NO DEVICES"
+
+
 def test_a_bench_that_cannot_be_built_is_a_card(main, qtbot):
     def fail():
         raise OSError("no such model")

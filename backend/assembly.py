@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 
@@ -179,11 +181,14 @@ def simulated_session(
     method = method or StackSettings()
     models: dict[tuple[Path, str], Estimator] = {}
 
+    def estimator(request: StackRequest, piece: Piece) -> Estimator:
+        path = Path(request.model) if request.model else shipped_model(request.piece)
+        if (path, piece.name) not in models:
+            models[path, piece.name] = Estimator.load(path, piece)
+        return models[path, piece.name]
+
     def make_stage(request: StackRequest, seed: int, raw: RawStreams) -> Stage:
         scene = make_scene(catalogue, request, seed, settings)
-        path = Path(request.model) if request.model else shipped_model(request.piece)
-        if (path, request.piece) not in models:
-            models[path, request.piece] = Estimator.load(path, scene.piece)
         bench = SimulatedBench(scene, script, BenchStreams(raw.frames, raw.samples, raw.poses))
         return Stage(
             clock=bench.clock,
@@ -194,9 +199,20 @@ def simulated_session(
             bottom="+".join(request.bottoms),
             advance=bench.advance,
             scoring=SimulatedScoring(bench, method.policy.longest_step_mm, animate),
-            estimator=models[path, request.piece],
+            estimator=estimator(request, scene.piece),
             payload=gripper_payload(settings.wrist.payload_kg, settings.wrist.payload_com_mm),
-            describe={"model": str(path), "simulation": settings.model_dump(mode="json")},
         )
 
-    return Session(make_stage, catalogue, settings=method, keep=keep or Keep(), simulated=True)
+    def check(request: StackRequest) -> Mapping[str, object]:
+        scene = make_scene(catalogue, request, request.seed, settings)
+        card = estimator(request, scene.piece).card
+        return {
+            "simulation": settings.model_dump(mode="json"),
+            "disturbances": list(choice.disturbances),
+            "model": {"piece": card.piece, "weights_sha256": card.weights_sha256},
+            "program": version("touchdown"),
+        }
+
+    return Session(
+        make_stage, check, catalogue, settings=method, keep=keep or Keep(), simulated=True
+    )

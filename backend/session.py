@@ -54,6 +54,11 @@ class MakeStage(Protocol):
         """Return the stage; raises ``InputError`` for an unknown piece, bottom or model."""
 
 
+Check = Callable[[StackRequest], Mapping[str, object]]
+"""Raises ``InputError`` before anything is written or moved; else returns what the run depends on
+beside request and method, JSON-ready: bench settings, model, program."""
+
+
 @dataclass(frozen=True, slots=True)
 class Keep:
     """Where runs are kept (None: nowhere), and whether episodes are kept beside the journal."""
@@ -68,13 +73,14 @@ class Session:
     def __init__(
         self,
         make_stage: MakeStage,
+        check: Check,
         catalogue: Catalogue,
         *,
         settings: StackSettings,
         keep: Keep,
         simulated: bool,
     ) -> None:
-        self._make_stage, self.catalogue = make_stage, catalogue
+        self._make_stage, self._check, self.catalogue = make_stage, check, catalogue
         self._settings, self._keep, self.simulated = settings, keep, simulated
         self.hub, self.interlock, self.gate = Hub(), Interlock(), Gate()
         self.frames: Mapping[Finger, Stream[TactileFrame]] = {
@@ -201,13 +207,17 @@ class Session:
         settings = self._settings.model_copy(
             update={"strategy": request.strategy, "mode": request.mode}
         )
-        record = {"request": asdict(request), "method": settings.model_dump(mode="json")}
-        head = RunHead(run_id, self.simulated, json.dumps(record))
 
         def prepare(trial: int) -> Bench:
             return self._begin_trial(request, settings, trial)
 
         def plan() -> Plan[None]:
+            record = {
+                "request": asdict(request),
+                "method": settings.model_dump(mode="json"),
+                **self._check(request),
+            }
+            head = RunHead(run_id, self.simulated, json.dumps(record))
             self._open_run(run_id)
             return (yield from stack_run(prepare, request, head))
 

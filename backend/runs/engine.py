@@ -108,8 +108,8 @@ class Engine:
                 return
             if self._interlock.latched and not isinstance(self._throw, StoppedError | FaultError):
                 self._throw = self._why_stopped()
-        self._interlock.renew_lease(self._now_s())
         for _ in range(10_000):
+            self._interlock.renew_lease(self._now_s())
             if not self._may_go_on():
                 return
             if not self._advance(plan):

@@ -9,10 +9,13 @@ from backend.core.flow import Episode, PlaceAction, Stability
 
 @dataclass(frozen=True, slots=True)
 class Felt:
-    """A probe as felt. ``sampled_s``: wall clock when its last sample was there (for latency)."""
+    """A probe as felt: ``ended_s`` bench time of its last sample, ``sampled_s`` the wall clock then
+    (for the decision latency only).
+    """
 
     episode: Episode
     probe: int
+    ended_s: float
     sampled_s: float
 
 

@@ -66,7 +66,7 @@ def press_once(bench: Bench, probe: int) -> Plan[Felt]:
         offset_mm=np.array([here.x_mm, here.y_mm]),
         piece=bench.piece.name,
     )
-    return Felt(episode, probe, sampled_s)
+    return Felt(episode, probe, end_s, sampled_s)
 
 
 def probe_until_accepted(bench: Bench, probe: int, tries: int = 2) -> Plan[Felt]:

@@ -42,10 +42,15 @@ def stack(bench: Bench) -> Plan[Ending]:
         felt = yield from probe_until_accepted(bench, probe)
         belief, judged = yield from _conclude(bench, felt, belief)
         bench.store.keep(felt.episode)
-        if judged.action.kind == "release" and approved:
+        held_s = judged.at_s - felt.ended_s
+        late = held_s > bench.settings.probe.verdict_wait_s
+        if judged.action.kind == "release" and approved and not late:
             return (yield from _let_go(bench, judged, approved=approved))
         yield from lift(bench, probe)
         yield _recorded(bench, felt)
+        if late:
+            yield Said(bench.now_s(), words.late(held_s))
+            continue
         if judged.action.kind == "give_up":
             return Ending(Outcome.GAVE_UP, judged.action.reason, probe)
         if not (yield from _asked(bench, judged)):

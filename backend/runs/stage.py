@@ -17,8 +17,7 @@ class Stage:
     """Unguarded devices of one scene. ``advance`` moves the bench's time by so many microseconds.
 
     ``devices`` names all five for the chips; ``scoring`` is None where the truth is unknown;
-    ``payload`` (6,) is the calibrated weight below the sensor, N and N·m. ``describe`` is a
-    JSON-ready record of everything the scene depends on.
+    ``payload`` (6,) is the calibrated weight below the sensor, N and N·m.
     """
 
     clock: Clock
@@ -31,4 +30,3 @@ class Stage:
     scoring: Scoring | None
     estimator: Estimate
     payload: FloatArray
-    describe: Mapping[str, object]

@@ -32,3 +32,8 @@ def release(stands: bool, margin_mm: float) -> str:
     if stands:
         return f"The piece stands, {margin_mm:.1f} mm inside its support."
     return f"The piece fell: its centre of mass was {-margin_mm:.1f} mm outside its support."
+
+
+def late(held_s: float) -> str:
+    """Say that a verdict came too late to be acted on while pressed."""
+    return f"The verdict took {held_s:.1f} s, too long to hold the press: lifted, probing again."

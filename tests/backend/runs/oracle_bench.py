@@ -59,6 +59,7 @@ class OracleSession:
         self._catalogue = load_catalogue()
         self.session = Session(
             self._make_stage,
+            lambda _: {},
             self._catalogue,
             settings=method or StackSettings(),
             keep=Keep(runs),
@@ -85,7 +86,6 @@ class OracleSession:
             scoring=assembly.SimulatedScoring(bench, 3.0, animate=False),
             estimator=oracle,
             payload=gripper_payload(wrist.payload_kg, wrist.payload_com_mm),
-            describe={},
         )
 
     def of(self, kind: type[Fact]) -> list[Fact]:

@@ -24,10 +24,10 @@ from backend.core.facts import (
     TrialFinished,
     TrialStarted,
 )
-from backend.core.flow import Outcome
+from backend.core.flow import ContactPatch, Episode, Outcome
 from backend.dataset.episode_reading import read_episode
 from backend.runs.journal import read_journal
-from tests.backend.runs.oracle_bench import OracleSession, request
+from tests.backend.runs.oracle_bench import Oracle, OracleSession, request
 
 PROBE = (PatchEstimated, BeliefUpdated, StabilityJudged, ActionChosen)
 
@@ -227,3 +227,21 @@ def test_stacks_on_a_tower_of_two() -> None:
     bench = OracleSession()
     bench.session.run(request(piece="barrel", bottoms=("short", "long"), seed=5))
     assert last_trial(bench).outcome is Outcome.PLACED
+
+
+def test_a_verdict_that_comes_too_late_is_not_acted_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = OracleSession()
+    plain = Oracle.estimate
+
+    def slow(oracle: Oracle, episode: Episode) -> ContactPatch:
+        if len(oracle.asked) == 1:
+            for _ in range(160):
+                bench.session.advance()
+        return plain(oracle, episode)
+
+    monkeypatch.setattr(Oracle, "estimate", slow)
+    bench.session.run(request())
+    chosen = [f.action.kind for f in bench.of(ActionChosen) if isinstance(f, ActionChosen)]
+    assert chosen == ["shift", "release", "release"]
+    assert len(bench.of(Released)) == 1
+    assert last_trial(bench).probes == 3

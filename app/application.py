@@ -128,9 +128,9 @@ class TouchdownApp(QObject):
         self._application.removeEventFilter(self._stop_key)
         area = self.window.normalGeometry()
         geometry = (area.x(), area.y(), area.width(), area.height())
-        settings = WindowSettings(
-            self.theme.tokens.name, self.theme.scale, geometry, self.page.run.form()
-        )
+        # Without a bench the form was never filled in: keep what was remembered.
+        form = self._settings.form if self.stack is None else self.page.run.form()
+        settings = WindowSettings(self.theme.tokens.name, self.theme.scale, geometry, form)
         try:
             save_settings(self._settings_file, settings)
         except OSError as error:

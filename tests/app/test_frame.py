@@ -10,6 +10,7 @@ from PySide6.QtGui import QAction, QKeySequence
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QLabel, QSpinBox, QWidget
 
 from app.actions import COMMANDS, STOP_ROWS, key_rows
+from app.application import TouchdownApp
 from app.error_hooks import ErrorBox, install, log_to
 from app.guard import bad_pair
 from app.settings import WindowSettings, load_settings, save_settings
@@ -147,6 +148,17 @@ def test_closing_remembers_the_form(main, tmp_path):
     assert (settings.form.piece, settings.form.bottom, settings.form.seed) == (
         "mushroom", "circle25", 42,
     )  # fmt: skip
+
+
+def test_closing_without_a_bench_keeps_the_remembered_form(qapp, tmp_path, qtbot):
+    path = tmp_path / "window.json"
+    save_settings(path, WindowSettings(form=RunForm("barrel", "hex20", "long", 5)))
+    main = TouchdownApp(qapp, ErrorBox(), path, tmp_path)
+    main.close()
+    main.window.deleteLater()
+    main.deleteLater()
+    settings, _ = load_settings(path)
+    assert settings.form == RunForm("barrel", "hex20", "long", 5)
 
 
 # -- guard and hooks -------------------------------------------------------------------------------

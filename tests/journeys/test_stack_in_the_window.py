@@ -1,6 +1,7 @@
 """An operator stacks in the window: the real bench, stepped by hand instead of by its thread."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ class KnowsTheBottom:
 
     def __init__(self, piece):
         self._points = face_points(piece.face)
+        self.card = SimpleNamespace(piece=piece.name, weights_sha256="0" * 64)
 
     def estimate(self, episode):
         inside = BOTTOM_RADIUS_MM - np.hypot(*(self._points + episode.offset_mm).T)

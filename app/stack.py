@@ -6,7 +6,7 @@ from app.link import Link
 from app.run_story import ProbeLook, RunStory, scene_of
 from app.stack_page import StackPage
 from app.tally import wilson
-from backend.core.facts import Fact
+from backend.core.facts import Fact, TrialFinished
 from backend.core.faults import InputError, RefusedError
 from backend.core.flow import FloatArray, Outcome
 from backend.devices.protocols import RobotMode
@@ -155,9 +155,11 @@ class StackPresenter:
             self._page.legend.show_truth(False)
             self._page.strip.show_probes([], -1)
             self._page.belief_panel.detail.setText("")
-            waiting = "The first press follows." if trial is not None else ""
-            if waiting:
-                self._page.decision.show_text(DecisionText("Probing", "", "", waiting))
+            if trial is not None and trial.finished is not None:
+                self._page.decision.show_text(_ended(trial.finished))
+            elif trial is not None:
+                text = DecisionText("Probing", "", "", "The first press follows.")
+                self._page.decision.show_text(text)
             return
         chosen = len(trial.probes) - 1 if self._chosen is None else self._chosen
         scenes = [self._scene(i) for i in range(len(trial.probes))]
@@ -180,12 +182,7 @@ class StackPresenter:
                                 f"Looking back at probe {look.probe}. {text.text}")  # fmt: skip
         if trial is None or trial.finished is None:
             return text
-        done = trial.finished
-        placed = done.outcome is Outcome.PLACED
-        mark = "\N{CHECK MARK}" if placed else "\N{MULTIPLICATION X}"
-        word = WORDS[done.outcome].capitalize()
-        margin = "" if done.margin_mm is None else signed_mm(done.margin_mm)
-        return DecisionText(f"{mark} {word}", "good" if placed else "bad", margin, done.reason)
+        return _ended(trial.finished)
 
     def _scene(self, index: int) -> BeliefScene:
         trial = self.story.trial
@@ -220,7 +217,8 @@ class StackPresenter:
         for trial in reversed(self.story.trials):
             if trial.finished is not None:
                 done = trial.finished
-                last = f"Seed {done.seed}: {WORDS[done.outcome]} after {done.probes} probes."
+                noun = "probe" if done.probes == 1 else "probes"
+                last = f"Seed {done.seed}: {WORDS[done.outcome]} after {done.probes} {noun}."
                 break
         placed = sum(o is Outcome.PLACED for o in outcomes)
         trials = head.trials if head is not None else 0
@@ -240,6 +238,14 @@ def request_of(form: RunForm) -> StackRequest:
         strategy=strategy,
         mode=modes.get(form.mode, "auto"),
     )
+
+
+def _ended(done: TrialFinished) -> DecisionText:
+    placed = done.outcome is Outcome.PLACED
+    mark = "\N{CHECK MARK}" if placed else "\N{MULTIPLICATION X}"
+    margin = "" if done.margin_mm is None else signed_mm(done.margin_mm)
+    word = WORDS[done.outcome].capitalize()
+    return DecisionText(f"{mark} {word}", "good" if placed else "bad", margin, done.reason)
 
 
 def _caption(look: ProbeLook) -> str:

@@ -108,6 +108,14 @@ def test_wilson_against_scipy(placed, trials):
     assert wilson(0, 0) is None
 
 
+def test_a_trial_without_a_verdict_still_says_how_it_ended(live, bench):
+    bench.tell_start()
+    bench.tell_end(Outcome.FELL, -2.0)
+    settle(live)
+    assert live.page.decision._verdict.text().endswith("Fell")
+    assert live.page.decision._margin.text() == "\N{MINUS SIGN}2.0 mm"
+
+
 def test_a_new_trial_empties_the_map(live, bench):
     told(live, bench, Outcome.PLACED)
     bench.tell_trial(2)

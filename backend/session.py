@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Protocol
 
 from backend.config.method import StackSettings
-from backend.core.facts import FaultsReset
-from backend.core.faults import RefusedError
+from backend.core.facts import Fact, FaultsReset
+from backend.core.faults import Fault, RefusedError
 from backend.core.flow import FINGERS, Finger, MarkerField, TactileFrame
 from backend.core.hub import Hub
 from backend.core.stream import SampleStream, Stream
@@ -183,6 +183,14 @@ class Session:
         self._end_run()
 
     def _live(self) -> None:
+        try:
+            self._keep_pace()
+        except BaseException as error:
+            # Whatever it was: latch, stop, end the run, and let the exception hooks show it.
+            self.engine.abandon(error)
+            raise
+
+    def _keep_pace(self) -> None:
         due_s = time.monotonic()
         measured_s, steps = due_s, 0
         while not self._closing.is_set():
@@ -273,11 +281,30 @@ class Session:
         episodes = None
         if folder is not None:
             self._journal = Journal(folder)
-            self._leave = self.hub.subscribe(self._journal)
+            self._leave = self.hub.subscribe(self._record)
             episodes = folder / "episodes" if self._keep.episodes else None
         self.run_folder = folder
         mode = "live simulation" if self.simulated else "lab"
         self._store = RunStore(episodes, {"run": run_id, "mode": mode})
+
+    def _record(self, fact: Fact) -> None:
+        """Append ``fact`` to the journal; a disk that refuses stops the run with a fault."""
+        if self._journal is None:
+            return
+        try:
+            self._journal(fact)
+        except OSError as error:
+            journal, self._journal = self._journal, None
+            journal.abandon()
+            self.interlock.raise_fault(
+                Fault(
+                    "JOURNAL-FAILED",
+                    f"The run journal cannot be written: {error.strerror or error}.",
+                    "The run ends; every fact up to here is on disk, the piece is still held.",
+                    f"Make room on the disk of {journal.folder}, then press Reset.",
+                    "store",
+                )
+            )
 
     def _end_run(self) -> None:
         """Close journal and store of the last run, if any."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Literal
 
 from backend.core.facts import (
     ActionChosen,
@@ -97,6 +98,16 @@ class Engine:
     def wait_idle(self, timeout_s: float) -> bool:
         """Block until no plan is driven; for scripts, never for a window."""
         return self._idle.wait(timeout_s)
+
+    def abandon(self, error: BaseException) -> None:
+        """Latch a fault and end the run, if any: the bench's time ended with ``error``."""
+        fault = Fault(
+            "BENCH-DIED",
+            f"The bench thread ended: {type(error).__name__}: {error}.",
+            "Nothing moves any more; the piece is still held.",
+            "Copy the details for the maintainers, then start Touchdown again.",
+        )
+        self._fail(FaultError(fault))
 
     # -- the bench's time -----------------------------------------------------------------------
 
@@ -193,7 +204,9 @@ class Engine:
     def _finish(self, result: object) -> None:
         with self._lock:
             self._plan, self._waiting, self._result = None, None, result
-            self._status = replace(self._status, state=RunState.IDLE, phase="", awaiting=None)
+            self._status = replace(
+                self._status, state=RunState.IDLE, run_id="", phase="", awaiting=None
+            )
             self._interlock.drop_lease()
         self._idle.set()
 
@@ -202,16 +215,16 @@ class Engine:
         now_s = self._now_s()
         fault = error.fault if isinstance(error, FaultError) else _fault_of(error)
         stopped = isinstance(error, StoppedError)
-        run_id = self._status.run_id
+        run_id, was_busy = self._status.run_id, self.busy
         self._finish(None)
         self._error = error
         if not stopped:
             if not isinstance(error, InputError):
                 self._interlock.raise_fault(fault)
             self._hub.publish(FaultRaised(now_s, fault))
-        self._hub.publish(
-            RunFinished(now_s, run_id, "stopped" if stopped else "failed", str(error))
-        )
+        if was_busy:
+            ending: Literal["stopped", "failed"] = "stopped" if stopped else "failed"
+            self._hub.publish(RunFinished(now_s, run_id, ending, str(error)))
 
     def _why_stopped(self) -> TouchdownError:
         faults = self._interlock.faults

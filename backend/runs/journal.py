@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
@@ -36,6 +37,11 @@ class Journal:
     def close(self) -> None:
         """Close the file; closing twice is allowed."""
         self._file.close()
+
+    def abandon(self) -> None:
+        """Close after a failed write without writing again."""
+        with suppress(OSError):
+            self._file.close()
 
     def _append(self, line: dict[str, object]) -> None:
         self._file.write(json.dumps(line, separators=(",", ":"), allow_nan=False).encode() + b"\n")

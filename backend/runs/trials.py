@@ -79,9 +79,12 @@ def _one_trial(bench: Bench, request: StackRequest) -> Plan[tuple[Ending, RunEnd
         if bench.interlock.stopped_by and not bench.interlock.faults:
             # The motion was interrupted by STOP: that is no fault of a device.
             return Ending(Outcome.ABORTED, _stopped(bench), probes()), "stopped"
-        bench.interlock.raise_fault(cause.fault)
-        yield FaultRaised(bench.now_s(), cause.fault)
-        return Ending(Outcome.ABORTED, str(cause), probes()), "failed"
+        # A fault that stopped the arm comes back as an interrupted motion: name the first cause.
+        faults = bench.interlock.faults
+        first = FaultError(faults[0]) if faults else cause
+        bench.interlock.raise_fault(first.fault)
+        yield FaultRaised(bench.now_s(), first.fault)
+        return Ending(Outcome.ABORTED, str(first), probes()), "failed"
     return ending, None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import threading
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from backend.core.facts import (
 )
 from backend.core.flow import ContactPatch, Episode, Outcome
 from backend.dataset.episode_reading import read_episode
-from backend.runs.journal import read_journal
+from backend.runs.journal import Journal, read_journal
 from tests.backend.runs.oracle_bench import Oracle, OracleSession, request
 
 PROBE = (PatchEstimated, BeliefUpdated, StabilityJudged, ActionChosen)
@@ -245,3 +246,48 @@ def test_a_verdict_that_comes_too_late_is_not_acted_on(monkeypatch: pytest.Monke
     assert chosen == ["shift", "release", "release"]
     assert len(bench.of(Released)) == 1
     assert last_trial(bench).probes == 3
+
+
+@pytest.mark.allow_leaks
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_dying_bench_thread_latches_a_fault_and_ends_the_run() -> None:
+    bench = OracleSession()
+    ended = threading.Event()
+    bench.session.hub.subscribe(lambda f: ended.set() if isinstance(f, RunFinished) else None)
+
+    def break_down() -> None:
+        raise OSError("the disk is gone")
+
+    after(bench, PhaseEntered, "approach", break_down)
+    bench.session.open(speed=100.0)
+    bench.session.start(request())
+    assert ended.wait(30)
+    bench.session.close()
+    assert bench.session.interlock.latched
+    assert not bench.session.engine.busy
+    assert [type(f) for f in bench.facts[-2:]] == [FaultRaised, RunFinished]
+
+
+@pytest.mark.parametrize("after_facts", [0, 5, 20])
+def test_a_full_disk_stops_the_run_and_keeps_what_was_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after_facts: int
+) -> None:
+    bench = OracleSession(runs=tmp_path)
+    plain = Journal._append
+    written: list[int] = []
+
+    def full(journal: Journal, line: dict[str, object]) -> None:
+        written.append(1)
+        if len(written) > after_facts + 1:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        plain(journal, line)
+
+    monkeypatch.setattr(Journal, "_append", full)
+    bench.session.run(request())
+    folder = bench.session.run_folder
+    bench.session.close()
+    assert [f.code for f in bench.session.interlock.faults] == ["JOURNAL-FAILED"]
+    assert last_trial(bench).outcome is Outcome.ABORTED
+    assert bench.benches[-1].truth().stands is None
+    assert folder is not None
+    assert len(list(read_journal(folder))) == after_facts

@@ -22,6 +22,9 @@ from widgets.side_view import SideView
 from widgets.tactile_view import TactileView
 from widgets.theme import Theme, ui_font
 
+TACTILE_SHARE = 0.45
+"""The fingers take at most this share of the page's height; the traces need the rest."""
+
 
 @dataclass(frozen=True, slots=True)
 class StackIntents:
@@ -107,9 +110,8 @@ class StackPage(QWidget):
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Leave out the side view where the controls need its room."""
         super().resizeEvent(event)
-        self._row.activate()
         for view in self.tactile.values():
-            view.fit_height()
+            view.limit_height(round(TACTILE_SHARE * self.height()))
         controls = self.run.sizeHint().height() + self.score.sizeHint().height()
         self.side_panel.setVisible(self.height() > controls + 150)
 
@@ -125,7 +127,7 @@ class StackPage(QWidget):
         self._right = QWidget()
         self._right.setLayout(decide)
         decide.setContentsMargins(0, 0, 0, 0)
-        row = self._row = QHBoxLayout(self)
+        row = QHBoxLayout(self)
         row.setContentsMargins(10, 8, 10, 8)
         row.setSpacing(8)
         row.addLayout(feel, 10)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PySide6.QtCore import QLineF, QPointF, QRectF, QSize, Qt
-from PySide6.QtGui import QColor, QFont, QImage, QPainter, QPaintEvent, QPen
+from PySide6.QtGui import QColor, QFont, QImage, QPainter, QPaintEvent, QPen, QResizeEvent
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from backend.core.flow import Finger, FloatArray, ImageArray, MarkerField, MarkerState, TactileFrame
@@ -16,6 +16,7 @@ from widgets.overlay import draw_message, draw_stale
 from widgets.theme import Theme, ui_font
 
 IMAGE_W, IMAGE_H = 320, 240
+LEAST = QSize(160, 120)
 BRIGHTNESS = 0.7
 """Dark marker blobs under the arrow tails would hide small motion on an undimmed picture."""
 
@@ -32,17 +33,26 @@ class TactileView(QWidget):
         self.paints = 0
         self.setAccessibleName(f"Tactile image, {finger} finger")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
-        self.setMinimumSize(160, 120)
+        self.setMinimumSize(LEAST)
+        self._limit_px = self.maximumHeight()
         self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
 
     def sizeHint(self) -> QSize:
         """Return the image's own size."""
         return QSize(IMAGE_W, IMAGE_H)
 
-    def fit_height(self) -> None:
-        """Take the height that leaves no bars at the present width."""
-        height = self.width() * IMAGE_H // IMAGE_W
-        if height != self.minimumHeight():
+    def limit_height(self, limit_px: int) -> None:
+        """Grow no taller than ``limit_px``: a very wide window must leave room below."""
+        self._limit_px = limit_px
+        self._fit_height()
+
+    def resizeEvent(self, _event: QResizeEvent) -> None:
+        """Follow every change of width, also those that no resize of the window caused."""
+        self._fit_height()
+
+    def _fit_height(self) -> None:
+        height = max(min(self.width() * IMAGE_H // IMAGE_W, self._limit_px), LEAST.height())
+        if height != self.minimumHeight() or height != self.maximumHeight():
             self.setFixedHeight(height)
 
     def show_frame(self, frame: TactileFrame, field: MarkerField | None) -> None:

@@ -18,6 +18,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from widgets.elided import ElidedLabel
 from widgets.fault_cards import FaultCards
 from widgets.icons import icon
 from widgets.panel import label
@@ -47,7 +48,7 @@ class MainWindow(QMainWindow):
         for scroll in self._scrolls.values():
             self._stack.addWidget(scroll)
         self.rail = {name: _rail_button(text) for name, text in RAIL}
-        self._message, self._right = label("", "muted"), label("", "small")
+        self._message, self._right = ElidedLabel("muted"), label("", "small")
         self._banner = SimulatedBanner(theme)
         self._arrange(bar, cards)
         self.setMinimumSize(MINIMUM)
@@ -94,7 +95,6 @@ class MainWindow(QMainWindow):
         row = QHBoxLayout(foot)
         row.setContentsMargins(12, 4, 12, 4)
         row.setSpacing(16)
-        self._message.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         row.addWidget(self._message, 1)
         row.addWidget(self._banner)
         row.addWidget(self._right)
@@ -129,6 +129,7 @@ class MainWindow(QMainWindow):
         for button in self.rail.values():
             button.setMinimumWidth(round(3.7 * em))
         self._bar.ensurePolished()
+        self._bar.fit()
         self.setMinimumWidth(max(MINIMUM.width(), self._bar.minimumSizeHint().width()))
         for name, button in self.rail.items():
             button.setIcon(icon(name, self._theme.tokens.colour("text"), 22))

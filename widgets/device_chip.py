@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
-from PySide6.QtGui import QPainter, QPaintEvent, QPen
+from PySide6.QtGui import QFontMetrics, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from widgets.state_pill import Colour, Shape, draw_shape
@@ -33,10 +33,11 @@ class ChipValue:
 
 
 class DeviceChip(QWidget):
-    """Two lines: name and figures, beside a state mark."""
+    """Two lines: name and figures, beside a state mark. ``short`` leaves out the figures."""
 
     def __init__(self, theme: Theme, name: str) -> None:
         super().__init__()
+        self.short = False
         self._theme, self._name = theme, name
         self.value = ChipValue("closed", "no data")
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
@@ -52,15 +53,25 @@ class DeviceChip(QWidget):
         self.update()
 
     def sizeHint(self) -> QSize:
-        """Return room for the usual figures."""
-        self.setFont(ui_font(self._theme.scale, 0.86))
-        metrics = self.fontMetrics()
-        return QSize(metrics.horizontalAdvance("1000 Hz, 00 ms") + 30, 2 * metrics.height() + 8)
+        """Return room for the usual figures, or just for the name."""
+        figures = QFontMetrics(ui_font(self._theme.scale, 0.86))
+        name = QFontMetrics(ui_font(self._theme.scale, 0.86, 600))
+        width = name.horizontalAdvance(self._name)
+        if not self.short:
+            lost = name.horizontalAdvance("  10 lost") if "actile" in self._name else 0
+            width = max(figures.horizontalAdvance("1000 Hz, 00 ms"), width + lost)
+        return QSize(width + 32, 2 * figures.height() + 8)
 
     def minimumSizeHint(self) -> QSize:
-        """Return room for the name and the rate."""
-        hint = self.sizeHint()
-        return QSize(self.fontMetrics().horizontalAdvance("Tactile R") + 30, hint.height())
+        """Return the size hint: the bar, not the chip, decides what to leave out."""
+        return self.sizeHint()
+
+    def show_short(self, short: bool) -> None:
+        """Leave the figures to the tool tip, or show them."""
+        if short != self.short:
+            self.short = short
+            self.updateGeometry()
+            self.update()
 
     def paintEvent(self, _event: QPaintEvent) -> None:
         """Draw mark, name and figures."""
@@ -78,12 +89,16 @@ class DeviceChip(QWidget):
         middle, width = self.height() / 2, self.width() - 26
         painter.setPen(t.colour("text"))
         painter.setFont(ui_font(self._theme.scale, 0.86, 600))
-        painter.drawText(QRectF(22, 3, width, middle - 2), int(Qt.AlignmentFlag.AlignBottom),
-                         self._name)  # fmt: skip
+        low = int(Qt.AlignmentFlag.AlignBottom)
+        if self.short:
+            painter.drawText(QRectF(22, 0, width, self.height()),
+                             int(Qt.AlignmentFlag.AlignVCenter), self._name)  # fmt: skip
+            return
+        painter.drawText(QRectF(22, 3, width, middle - 2), low, self._name)
         if self.value.lost:
             painter.setFont(ui_font(self._theme.scale, 0.8, 500))
             painter.drawText(QRectF(22, 3, width - 4, middle - 2),
-                             int(Qt.AlignmentFlag.AlignBottom | Qt.AlignmentFlag.AlignRight),
+                             low | int(Qt.AlignmentFlag.AlignRight),
                              f"{self.value.lost} lost")  # fmt: skip
         painter.setPen(t.colour("muted"))
         painter.setFont(ui_font(self._theme.scale, 0.8))

@@ -33,7 +33,7 @@ class TracePlot(QWidget):
         self.points_drawn = 0
         self.setAccessibleName(f"{name} traces")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.setMinimumSize(240, 90)
+        self.setMinimumSize(240, 110)
         self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
 
     def add(self, t_s: FloatArray, values: FloatArray) -> None:
@@ -81,7 +81,8 @@ class TracePlot(QWidget):
     def area(self) -> PlotArea:
         """Return where the traces are drawn."""
         em = self.fontMetrics().height()
-        rect = QRectF(3.4 * em, 0.6 * em, self.width() - 9.6 * em, self.height() - 2.0 * em)
+        top = 1.7 * em
+        rect = QRectF(2.9 * em, top, self.width() - 8.9 * em, self.height() - top - 1.6 * em)
         return PlotArea(rect, -self.buckets.span_s, 0.0, -self.limit, self.limit)
 
     def paintEvent(self, _event: QPaintEvent) -> None:
@@ -149,6 +150,8 @@ class TracePlot(QWidget):
             painter.setPen(QPen(t.colour("border" if value == 0 else "grid"), 1))
             painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
             painter.setPen(t.colour("muted"))
+            # The lowest number would meet the first one of the time axis.
+            y = min(y, rect.bottom() - 0.35 * height)
             box = QRectF(0, y - height / 2, rect.left() - 6, height)
             painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), tick_text(value, step))
         for value in range(-int(self.buckets.span_s), 1, 2):
@@ -156,13 +159,13 @@ class TracePlot(QWidget):
             painter.setPen(QPen(t.colour("grid"), 1))
             painter.drawLine(QPointF(x, rect.top()), QPointF(x, rect.bottom()))
             painter.setPen(t.colour("muted"))
-            box = QRectF(x - 30, rect.bottom() + 3, 60, height)
+            box = QRectF(x - 3 * height, rect.bottom() + 3, 6 * height, height)
             text = "now" if value == 0 else f"{tick_text(value, 1)} s"
             painter.drawText(box, int(Qt.AlignmentFlag.AlignHCenter), text)
         painter.setPen(t.colour("muted"))
         painter.setFont(ui_font(self._theme.scale, 0.85, 500))
-        painter.drawText(QRectF(rect.left() + 6, rect.top() + 3, 200, height + 2), 0,
-                         f"{self._name} ({self._unit})")  # fmt: skip
+        name = f"{self._name} ({self._unit})"
+        painter.drawText(QPointF(rect.left(), rect.top() - 0.5 * height), name)
 
 
 def _next_limit(limit: float) -> float:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QVBoxLayout, QWidget
+
+from widgets.elided import ElidedLabel
 
 
 class Panel(QFrame):
@@ -14,9 +16,8 @@ class Panel(QFrame):
         self.setProperty("role", "card")
         self.setAccessibleName(title)
         self._title = label(title, "title")
-        self.detail = label("", "small")
+        self.detail = ElidedLabel("small")
         self.detail.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        self.detail.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         header = QHBoxLayout()
         header.addWidget(self._title)
         header.addWidget(self.detail, 1)

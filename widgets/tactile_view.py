@@ -6,7 +6,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PySide6.QtCore import QLineF, QPointF, QRectF, QSize, Qt
-from PySide6.QtGui import QColor, QFont, QImage, QPainter, QPaintEvent, QPen, QResizeEvent
+from PySide6.QtGui import (
+    QColor,
+    QFont,
+    QFontMetrics,
+    QImage,
+    QPainter,
+    QPaintEvent,
+    QPen,
+    QResizeEvent,
+)
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from backend.core.flow import Finger, FloatArray, ImageArray, MarkerField, MarkerState, TactileFrame
@@ -150,7 +159,11 @@ def _draw_legend(painter: QPainter, target: QRectF, scale: float, font: QFont) -
     length = arrows.GAIN / arrows.MM_PER_PX
     end = np.array([[(target.width() - 12) / scale, (target.height() - 12) / scale]])
     start = end - np.array([[length, 0.0]])
-    box = QRectF(start[0, 0] * scale - 40, end[0, 1] * scale - 11, length * scale + 48, 22)
+    text = QFontMetrics(font).horizontalAdvance("1 mm") + 14
+    high = max(QFontMetrics(font).height() + 6, 22)
+    end[0, 1] = start[0, 1] = (target.height() - high / 2 - 4) / scale
+    box = QRectF(start[0, 0] * scale - text, end[0, 1] * scale - high / 2,
+                 length * scale + text + 8, high)  # fmt: skip
     painter.fillRect(box, QColor(0, 0, 0, 150))
     painter.setPen(QPen(QColor("#FFFFFF"), 2))
     stroke = arrows.segments(start, (end - start) / arrows.GAIN) * scale

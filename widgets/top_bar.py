@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from PySide6.QtCore import QSize, Qt
-from PySide6.QtGui import QColor
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QSizePolicy, QVBoxLayout
+from PySide6.QtGui import QColor, QResizeEvent
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QSizePolicy, QVBoxLayout, QWidget
 
 from widgets.device_chip import DeviceChip
 from widgets.icons import icon
@@ -14,6 +14,8 @@ from widgets.panel import label
 from widgets.state_pill import StatePill
 from widgets.theme import Theme
 
+MARGIN, GAP = 10, 10
+USUAL_MODE = "Robot: Program"
 CHIPS = (
     ("arm", "Arm"),
     ("gripper", "Gripper"),
@@ -24,7 +26,7 @@ CHIPS = (
 
 
 class TopBar(QFrame):
-    """One row of 52 px. ``on_stop`` is called on the press, not on the release."""
+    """One row, or two where there is little room; ``on_stop`` is called on the press."""
 
     def __init__(self, theme: Theme, on_stop: Callable[[], None]) -> None:
         super().__init__()
@@ -33,6 +35,7 @@ class TopBar(QFrame):
         self._robot = label("Robot: unknown", "small")
         self._safety = label("Safety: unknown", "small")
         self.chips = {key: DeviceChip(theme, name) for key, name in CHIPS}
+        self._estop_title = label("HW E-stop", "small")
         self._estop = label("unknown", "small")
         self.stop = QPushButton("STOP motion (software)")
         self.stop.setProperty("role", "stop")
@@ -49,31 +52,78 @@ class TopBar(QFrame):
         self._arrange()
 
     def _arrange(self) -> None:
-        row = QHBoxLayout(self)
-        row.setContentsMargins(10, 7, 10, 7)
-        row.setSpacing(10)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(MARGIN, 7, MARGIN, 7)
+        column.setSpacing(6)
+        row = self._row = QHBoxLayout()
+        row.setSpacing(GAP)
         row.addWidget(self.pill)
         row.addLayout(_two(self._robot, self._safety))
-        chips = QHBoxLayout()
+        row.addStretch(1)
+        row.addLayout(_two(self._estop_title, self._estop))
+        row.addWidget(self.stop)
+        column.addLayout(row)
+        self._devices = QWidget()
+        chips = QHBoxLayout(self._devices)
+        chips.setContentsMargins(0, 0, 0, 0)
         chips.setSpacing(6)
         for chip in self.chips.values():
             chips.addWidget(chip)
-        row.addLayout(chips)
-        row.addStretch(1)
-        title = label("HW E-stop", "small")
-        row.addLayout(_two(title, self._estop))
-        row.addWidget(self.stop)
+        row.insertWidget(2, self._devices)
+        self._second = QHBoxLayout()
+        column.addLayout(self._second)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
+
+    def minimumSizeHint(self) -> QSize:
+        """Return the width without the chips: those go to a second row where there is no room."""
+        return QSize(self._needed(()), super().minimumSizeHint().height())
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Show as much of the chips as there is room for."""
+        super().resizeEvent(event)
+        self.fit()
+
+    def fit(self) -> None:
+        """Whole chips, else names only, else whole chips on a row of their own."""
+        chips, room = tuple(self.chips.values()), self.width()
+        # Room for the usual words, so that the chips do not jump when the arm starts.
+        self._robot.setMinimumWidth(self._robot.fontMetrics().horizontalAdvance(USUAL_MODE))
+        for short in (False, True):
+            for chip in chips:
+                chip.show_short(short)
+            one_row = self._needed(chips) <= room
+            if one_row:
+                break
+        else:
+            for chip in chips:
+                chip.show_short(False)
+        if one_row and self._second.count():
+            self._second.removeWidget(self._devices)
+            self._second.takeAt(0)
+            self._row.insertWidget(2, self._devices)
+        elif not one_row and not self._second.count():
+            self._row.removeWidget(self._devices)
+            self._second.addWidget(self._devices)
+            self._second.addStretch(1)
+        self.updateGeometry()
+
+    def _needed(self, chips: tuple[DeviceChip, ...]) -> int:
+        modes = max(self._robot.sizeHint().width(), self._safety.sizeHint().width())
+        estop = max(self._estop_title.sizeHint().width(), self._estop.sizeHint().width())
+        fixed = self.pill.sizeHint().width() + modes + estop + self.stop.sizeHint().width()
+        return fixed + sum(c.sizeHint().width() + 6 for c in chips) + 5 * GAP + 2 * MARGIN
 
     def show_modes(self, robot: str, safety: str) -> None:
         """Show both status words of the arm."""
         self._robot.setText(f"Robot: {robot}")
         self._safety.setText(f"Safety: {safety}")
+        self.fit()
 
     def show_hardware_stop(self, text: str) -> None:
         """Show what the controller says of the hardware emergency stop; unknown is unknown."""
         self._estop.setText(text)
         self._estop.setAccessibleName(f"Hardware emergency stop: {text}")
+        self.fit()
 
 
 def _two(upper: QFrame, lower: QFrame) -> QVBoxLayout:

@@ -13,6 +13,7 @@ from backend.devices.interlock import Interlock, ReleaseEvidence, release_refusa
 from backend.devices.protocols import (
     Arm,
     ArmStatus,
+    Device,
     DeviceState,
     Gripper,
     GripStatus,
@@ -27,52 +28,60 @@ PressForce = Callable[[], float]
 """Present press force in N (tared Fz), NaN if unknown."""
 
 
-class GuardedArm:
+class _Guarded:
+    """Connection and identity pass through unguarded: they move nothing."""
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+
+    @property
+    def name(self) -> str:
+        """Name of the device."""
+        return self._device.name
+
+    @property
+    def state(self) -> DeviceState:
+        """State of the connection."""
+        return self._device.state
+
+    @property
+    def identity(self) -> Identity | None:
+        """Identity of the device."""
+        return self._device.identity
+
+    @property
+    def health(self) -> Health:
+        """Health of the device."""
+        return self._device.health
+
+    def connect(self, timeout_s: float, cancel: threading.Event) -> None:
+        """Connect the device."""
+        self._device.connect(timeout_s, cancel)
+
+    def close(self) -> None:
+        """Close the connection; nothing is let go."""
+        self._device.close()
+
+    def describe(self) -> Mapping[str, str | float]:
+        """Raw fields of the device."""
+        return self._device.describe()
+
+
+class GuardedArm(_Guarded):
     """An ``Arm`` that refuses what the limits forbid; a limit never changes a command silently."""
 
     def __init__(
         self, arm: Arm, interlock: Interlock, now_s: Callable[[], float], press_n: PressForce
     ) -> None:
+        super().__init__(arm)
         self._arm, self._interlock = arm, interlock
         self._now_s, self._press_n = now_s, press_n
         interlock.on_stop(arm.stop)
 
     @property
-    def name(self) -> str:
-        """Name of the arm."""
-        return self._arm.name
-
-    @property
-    def state(self) -> DeviceState:
-        """State of the connection."""
-        return self._arm.state
-
-    @property
-    def identity(self) -> Identity | None:
-        """Identity of the arm."""
-        return self._arm.identity
-
-    @property
-    def health(self) -> Health:
-        """Health of the arm."""
-        return self._arm.health
-
-    @property
     def poses(self) -> SampleStream:
         """Measured positions of ``G``."""
         return self._arm.poses
-
-    def connect(self, timeout_s: float, cancel: threading.Event) -> None:
-        """Connect the arm."""
-        self._arm.connect(timeout_s, cancel)
-
-    def close(self) -> None:
-        """Close the arm."""
-        self._arm.close()
-
-    def describe(self) -> Mapping[str, str | float]:
-        """Raw fields of the arm."""
-        return self._arm.describe()
 
     def status(self) -> ArmStatus:
         """Status words of the arm."""
@@ -141,44 +150,13 @@ class GuardedArm:
             )
 
 
-class GuardedGripper:
+class GuardedGripper(_Guarded):
     """A ``Gripper`` that opens on a held piece only with the evidence of a stable placement."""
 
     def __init__(self, gripper: Gripper, interlock: Interlock, now_s: Callable[[], float]) -> None:
+        super().__init__(gripper)
         self._gripper, self._interlock, self._now_s = gripper, interlock, now_s
         interlock.on_stop(gripper.stop)
-
-    @property
-    def name(self) -> str:
-        """Name of the gripper."""
-        return self._gripper.name
-
-    @property
-    def state(self) -> DeviceState:
-        """State of the connection."""
-        return self._gripper.state
-
-    @property
-    def identity(self) -> Identity | None:
-        """Identity of the gripper."""
-        return self._gripper.identity
-
-    @property
-    def health(self) -> Health:
-        """Health of the gripper."""
-        return self._gripper.health
-
-    def connect(self, timeout_s: float, cancel: threading.Event) -> None:
-        """Connect the gripper."""
-        self._gripper.connect(timeout_s, cancel)
-
-    def close(self) -> None:
-        """Close the connection; the jaws stay as they are."""
-        self._gripper.close()
-
-    def describe(self) -> Mapping[str, str | float]:
-        """Raw fields of the gripper."""
-        return self._gripper.describe()
 
     def status(self) -> GripStatus:
         """Present width, force and whether a piece is held."""

@@ -11,14 +11,11 @@ from backend.core.flow import FloatArray, Pose
 from backend.core.stream import SampleStream
 from backend.devices.protocols import (
     ArmStatus,
-    DeviceState,
-    Health,
-    Identity,
     PressCommand,
     RobotMode,
     SafetyMode,
 )
-from backend.devices.sim.connection import Connection
+from backend.devices.sim.connection import Connection, SimDevice
 from backend.devices.sim.motion import (
     SimMotion,
     SimPressMotion,
@@ -29,44 +26,20 @@ from backend.simulation.arm import PressLaw, Program
 from backend.simulation.world import World
 
 
-class SimArm:
+class SimArm(SimDevice):
     """Moves the pivot of a ``World``. ``stop`` works from any thread and in every state."""
 
     def __init__(self, world: World, poses: SampleStream, now_s: Callable[[], float]) -> None:
         self._world, self._poses, self._now_s = world, poses, now_s
-        self._connection = Connection("arm", "simulated arm", now_s)
+        super().__init__(Connection("arm", "simulated arm", now_s))
         self._lock = threading.Lock()
         self._motion: SimMotion | None = None
         self._program: Program | None = None
 
     @property
-    def name(self) -> str:
-        """Name of the device."""
-        return self._connection.name
-
-    @property
-    def state(self) -> DeviceState:
-        """State of the connection."""
-        return self._connection.state
-
-    @property
-    def identity(self) -> Identity | None:
-        """Known once connected."""
-        return self._connection.identity
-
-    @property
-    def health(self) -> Health:
-        """Rate, age and losses of the positions."""
-        return self._connection.health
-
-    @property
     def poses(self) -> SampleStream:
         """Measured position of ``G``, mm, once per cycle."""
         return self._poses
-
-    def connect(self, timeout_s: float, cancel: threading.Event) -> None:
-        """Connect at once."""
-        self._connection.open()
 
     def close(self) -> None:
         """Stop and close; the jaws stay as they are."""

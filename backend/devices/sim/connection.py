@@ -83,3 +83,38 @@ class Connection:
                     self.name,
                 )
             )
+
+
+class SimDevice:
+    """What all simulated devices answer alike."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    @property
+    def name(self) -> str:
+        """Name of the device."""
+        return self._connection.name
+
+    @property
+    def state(self) -> DeviceState:
+        """State of the connection."""
+        return self._connection.state
+
+    @property
+    def identity(self) -> Identity | None:
+        """Known once connected."""
+        return self._connection.identity
+
+    @property
+    def health(self) -> Health:
+        """Rate, age and losses of what the device delivers."""
+        return self._connection.health
+
+    def connect(self, timeout_s: float, cancel: threading.Event) -> None:
+        """Connect at once."""
+        self._connection.open()
+
+    def close(self) -> None:
+        """Close."""
+        self._connection.close()

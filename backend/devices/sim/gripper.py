@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from backend.devices.protocols import DeviceState, GripStatus, Health, Identity
-from backend.devices.sim.connection import Connection
+from backend.devices.protocols import GripStatus
+from backend.devices.sim.connection import Connection, SimDevice
 from backend.devices.sim.motion import SimMotion, replaced_fault, stopped_fault
 from backend.simulation.world import World
 
@@ -16,42 +16,18 @@ WIDTH_NOISE_MM = 0.01
 FORCE_NOISE_N = 0.05
 
 
-class SimGripper:
+class SimGripper(SimDevice):
     """Moves the jaws of a ``World``; ``stop`` works from any thread and keeps the grip."""
 
     def __init__(self, world: World, now_s: Callable[[], float]) -> None:
         self._world = world
-        self._connection = Connection("gripper", "simulated gripper", now_s)
+        super().__init__(Connection("gripper", "simulated gripper", now_s))
         self._rng = np.random.Generator(
             np.random.PCG64(np.random.SeedSequence([world.scene.seed, 6]))
         )
         self._lock = threading.Lock()
         self._motion: SimMotion | None = None
         self._status = GripStatus(world.jaws.width_mm, 0.0, False)
-
-    @property
-    def name(self) -> str:
-        """Name of the device."""
-        return self._connection.name
-
-    @property
-    def state(self) -> DeviceState:
-        """State of the connection."""
-        return self._connection.state
-
-    @property
-    def identity(self) -> Identity | None:
-        """Known once connected."""
-        return self._connection.identity
-
-    @property
-    def health(self) -> Health:
-        """Rate, age and losses of the status."""
-        return self._connection.health
-
-    def connect(self, timeout_s: float, cancel: threading.Event) -> None:
-        """Connect at once."""
-        self._connection.open()
 
     def close(self) -> None:
         """Close; the jaws stay as they are."""

@@ -10,8 +10,7 @@ import numpy as np
 
 from backend.core.flow import Finger, ImageArray, TactileFrame
 from backend.core.stream import Stream
-from backend.devices.protocols import DeviceState, Health, Identity
-from backend.devices.sim.connection import Connection
+from backend.devices.sim.connection import Connection, SimDevice
 from backend.simulation.disturbances import Script
 from backend.simulation.finger_camera import Shot
 
@@ -19,7 +18,7 @@ FLICKER = 0.25
 """Swing of the brightness, by the law of the tracker's known-truth test."""
 
 
-class SimTactile:
+class SimTactile(SimDevice):
     """Frames of one finger; a gap in the numbers of the exposures counts as lost frames."""
 
     def __init__(
@@ -30,29 +29,9 @@ class SimTactile:
         script: Script,
     ) -> None:
         self._finger, self._frames, self._script = finger, frames, script
-        self._connection = Connection(f"tactile_{finger}", "simulated tactile finger", now_s)
+        super().__init__(Connection(f"tactile_{finger}", "simulated tactile finger", now_s))
         self._newest: int | None = None
         self._frozen: ImageArray | None = None
-
-    @property
-    def name(self) -> str:
-        """Name of the device."""
-        return self._connection.name
-
-    @property
-    def state(self) -> DeviceState:
-        """State of the connection."""
-        return self._connection.state
-
-    @property
-    def identity(self) -> Identity | None:
-        """Known once connected."""
-        return self._connection.identity
-
-    @property
-    def health(self) -> Health:
-        """Rate, age and losses."""
-        return self._connection.health
 
     @property
     def finger(self) -> Finger:
@@ -69,10 +48,6 @@ class SimTactile:
         if not self._connection.ready:
             self._newest = None
         self._connection.open()
-
-    def close(self) -> None:
-        """Close."""
-        self._connection.close()
 
     def describe(self) -> Mapping[str, str | float]:
         """Return the image format."""

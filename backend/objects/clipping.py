@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from backend.core.flow import FloatArray
 from backend.objects.shapes import EDGE_TOLERANCE_MM, edge_normals, turned
@@ -128,23 +128,3 @@ def margins_mm(points_mm: FloatArray, cut: Cut) -> FloatArray:
     inside = (np.where(cut.kept, side, 0.0) >= 0.0).all(axis=-1)
     signed = np.where(inside, distance, -distance)
     return np.asarray(np.where(cut.kept.any(axis=-1), signed, NO_SUPPORT), dtype=np.float64)
-
-
-def signed_margin_mm(point_mm: ArrayLike, polygon_mm: FloatArray) -> float:
-    """Return the signed distance of a point (2,) to the edge of a convex polygon (k, 2), in mm.
-
-    Positive inside, negative outside; corners may run either way. With one or two corners nothing
-    is inside; without any it is ``NO_SUPPORT``.
-    """
-    if len(polygon_mm) == 0:
-        return NO_SUPPORT
-    point = np.asarray(point_mm, dtype=np.float64)
-    if len(polygon_mm) == 1:
-        return -float(np.hypot(*(point - polygon_mm[0])))
-    edges = closed(polygon_mm)
-    doubled = (edges.start_mm[:, 0] * edges.end_mm[:, 1]).sum()
-    doubled -= (edges.start_mm[:, 1] * edges.end_mm[:, 0]).sum()
-    if doubled < 0.0:
-        edges = closed(polygon_mm[::-1])
-    distance = float(margins_mm(point, edges))
-    return distance if len(polygon_mm) > 2 else -abs(distance)

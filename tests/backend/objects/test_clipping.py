@@ -87,21 +87,10 @@ def test_without_overlap_there_is_no_support() -> None:
     assert float(clipping.area_mm2(cut)) == 0.0
 
 
-@pytest.mark.parametrize("step", [1, -1])
-def test_signed_margin_by_hand(step: int) -> None:
-    square = shapes.square(10.0).polygon()[::step]
-    assert clipping.signed_margin_mm((0.0, 0.0), square) == pytest.approx(5.0)
-    assert clipping.signed_margin_mm((4.0, 1.0), square) == pytest.approx(1.0)
-    assert clipping.signed_margin_mm((7.0, 1.0), square) == pytest.approx(-2.0)
-    assert clipping.signed_margin_mm((8.0, 9.0), square) == pytest.approx(-5.0)
-
-
-def test_signed_margin_of_degenerate_supports() -> None:
-    assert clipping.signed_margin_mm((3.0, 4.0), np.empty((0, 2))) == -math.inf
-    assert clipping.signed_margin_mm((3.0, 4.0), np.zeros((1, 2))) == pytest.approx(-5.0)
-    line = np.array([[0.0, 0.0], [10.0, 0.0]])
-    assert clipping.signed_margin_mm((5.0, 2.0), line) == pytest.approx(-2.0)
-    assert clipping.signed_margin_mm((5.0, 0.0), line) == 0.0
+def test_margin_by_hand() -> None:
+    edges = clipping.closed(shapes.square(10.0).polygon())
+    points = np.array([[0.0, 0.0], [4.0, 1.0], [7.0, 1.0], [8.0, 9.0]])
+    assert clipping.margins_mm(points, edges) == pytest.approx([5.0, 1.0, -2.0, -5.0])
 
 
 @pytest.mark.parametrize(

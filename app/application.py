@@ -14,6 +14,7 @@ from PySide6.QtWidgets import QApplication
 from app.actions import Actions, key_rows
 from app.cards import card_of
 from app.error_hooks import ErrorBox
+from app.inspect import InspectPresenter
 from app.link import Link
 from app.live import LivePresenter
 from app.main_window import MainWindow
@@ -66,6 +67,7 @@ class TouchdownApp(QObject):
         self.live: LivePresenter | None = None
         self.stack: StackPresenter | None = None
         self._side: SidePresenter | None = None
+        self.inspect: InspectPresenter | None = None
         self.review = ReviewPresenter(self.review_page, runs, self.cards)
         self.actions = Actions(self.window, self._slots())
         self._wire_rail()
@@ -104,6 +106,7 @@ class TouchdownApp(QObject):
         self.live = LivePresenter(link, self.page, self.bar)
         self.stack = StackPresenter(link, self.page, self.cards)
         self._side = SidePresenter(link, self.page.side, self.page.side_panel)
+        self.inspect = InspectPresenter(link, self.bar, self.window)
         shown = link.catalogue
         self.page.run.show_catalogue(
             [(name, shown.piece(name).title) for name in shown.tops],
@@ -336,7 +339,8 @@ class TouchdownApp(QObject):
     def _draw_rest(self) -> None:
         if self._link is None or self.live is None or self.stack is None or self._side is None:
             return
-        self.live.draw_chips()
+        if self.live.draw_chips() and self.inspect is not None:
+            self.inspect.draw()
         self.stack.draw()
         self._side.draw()
         self.bar.pill.show_state(pill_of(self._link))

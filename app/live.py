@@ -71,11 +71,11 @@ class LivePresenter:
         for plot in (page.force, page.moment):
             plot.show_age(age, age_s, "The force/torque sensor has not sent a sample.")
 
-    def draw_chips(self) -> None:
-        """Update chips, headers and modes four times a second."""
+    def draw_chips(self) -> bool:
+        """Update chips, headers and modes four times a second; True when it did."""
         now_s = self._now_s()
         if now_s - self._chips_s < CHIP_PERIOD_S:
-            return
+            return False
         self._chips_s = now_s
         devices = self._link.devices
         for key, _ in CHIPS:
@@ -90,6 +90,7 @@ class LivePresenter:
             self._show_header(finger)
         for plot in (self._page.force, self._page.moment):
             plot.setAccessibleDescription(plot.summary())
+        return True
 
     def _chip(self, key: str, device: Device, now_s: float) -> ChipValue:
         health, fresh = device.health, self._device_fresh[key]
@@ -104,7 +105,7 @@ class LivePresenter:
         else:
             detail = device.state.value
         who = device.identity
-        tip = f"{device.state.value}; {health.received} received, {health.lost} lost"
+        tip = f"{device.state.value}, {detail}; {health.received} received, {health.lost} lost"
         if who is not None:
             tip = f"{who.maker} {who.model}, serial {who.serial}\n{tip}"
         return ChipValue(state, detail, health.lost, tip)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from PySide6.QtCore import QPointF, QRectF, QSize, Qt
-from PySide6.QtGui import QFontMetrics, QPainter, QPaintEvent, QPen
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal
+from PySide6.QtGui import QFontMetrics, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from widgets.state_pill import Colour, Shape, draw_shape
@@ -33,7 +33,12 @@ class ChipValue:
 
 
 class DeviceChip(QWidget):
-    """Two lines: name and figures, beside a state mark. ``short`` leaves out the figures."""
+    """Two lines: name and figures, beside a state mark. ``short`` leaves out the figures.
+
+    A click, or Return while it has the focus, asks for more with ``clicked``.
+    """
+
+    clicked = Signal()
 
     def __init__(self, theme: Theme, name: str) -> None:
         super().__init__()
@@ -42,6 +47,9 @@ class DeviceChip(QWidget):
         self.value = ChipValue("closed", "no data")
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         self.setAccessibleName(f"{name}: closed")
+        self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.setCursor(Qt.CursorShape.PointingHandCursor)
+        self.setAttribute(Qt.WidgetAttribute.WA_Hover)
 
     def show_value(self, value: ChipValue) -> None:
         """Show another value."""
@@ -73,19 +81,38 @@ class DeviceChip(QWidget):
             self.updateGeometry()
             self.update()
 
+    def mouseReleaseEvent(self, event: QMouseEvent) -> None:
+        """Ask for more if the button was let go on the chip."""
+        if event.button() is Qt.MouseButton.LeftButton and self.rect().contains(
+            event.position().toPoint()
+        ):
+            self.clicked.emit()
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Return asks for more (Space may mean STOP)."""
+        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter) and not event.isAutoRepeat():
+            self.clicked.emit()
+        else:
+            super().keyPressEvent(event)
+
     def paintEvent(self, _event: QPaintEvent) -> None:
         """Draw mark, name and figures."""
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         t = self._theme.tokens
-        painter.setPen(QPen(t.colour("hairline"), 1))
-        painter.setBrush(t.colour("raised"))
+        focused = self.hasFocus()
+        painter.setPen(QPen(t.colour("focus" if focused else "hairline"), 2 if focused else 1))
+        painter.setBrush(t.colour("hover" if self.underMouse() else "raised"))
         painter.drawRoundedRect(QRectF(self.rect()).adjusted(0.5, 0.5, -0.5, -0.5), 6, 6)
         shape, colour = _LOOK[self.value.state]
         mark = t.colour("good") if colour == "green" else t.colour(f"pill_{colour}")
         if colour in ("grey", "blue") or (colour == "yellow" and t.name == "light"):
             mark = t.colour("muted" if colour == "grey" else "text")
         draw_shape(painter, shape, QPointF(13, self.height() / 2), mark, 5)
+        self._draw_text(painter)
+
+    def _draw_text(self, painter: QPainter) -> None:
+        t = self._theme.tokens
         middle, width = self.height() / 2, self.width() - 26
         painter.setPen(t.colour("text"))
         painter.setFont(ui_font(self._theme.scale, 0.86, 600))

@@ -1,0 +1,47 @@
+"""A chip opens the raw fields of its device, and they stay live."""
+
+from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
+
+from app.inspect import rows_of
+from tests.app.conftest import settle
+
+
+def test_a_click_on_a_chip_opens_its_device_and_follows_it(live, bench, qtbot):
+    bench.devices["gripper"].describe = lambda: {"kind": "stand-in", "width_mm": -1.25}
+    qtbot.mouseClick(live.bar.chips["gripper"], Qt.MouseButton.LeftButton)
+    sheet = live.inspect.sheet
+    assert sheet.isVisible()
+    assert not sheet.isModal()
+    shown = sheet.rows()
+    assert shown["serial"] == "0001"
+    assert shown["state"] == "ready"
+    assert shown["kind"] == "stand-in"
+    assert shown["width_mm"] == "\N{MINUS SIGN}1.25"
+    received = int(shown["received"])
+    bench.turn(0.4)
+    live.live._chips_s = 0.0
+    settle(live)
+    assert int(sheet.rows()["received"]) == received + 10
+    qtbot.mouseClick(live.bar.chips["arm"], Qt.MouseButton.LeftButton)
+    assert sheet.key == "arm"
+    assert "width_mm" not in sheet.rows()
+    sheet.close()
+
+
+def test_a_press_that_leaves_the_chip_opens_nothing(live, qtbot):
+    chip = live.bar.chips["arm"]
+    QTest.mousePress(chip, Qt.MouseButton.LeftButton)
+    QTest.mouseRelease(chip, Qt.MouseButton.LeftButton, pos=chip.rect().bottomRight() * 3)
+    assert live.inspect.sheet is None
+    chip.setFocus()
+    QTest.keyClick(chip, Qt.Key.Key_Return)
+    assert live.inspect.sheet.isVisible()
+    live.inspect.sheet.close()
+
+
+def test_text_is_written_as_the_device_says_it(bench):
+    bench.devices["arm"].describe = lambda: {"gel": "large-dot", "x_mm": -3.0}
+    rows = dict(rows_of(bench.devices["arm"]))
+    assert rows["gel"] == "large-dot"
+    assert rows["x_mm"] == "\N{MINUS SIGN}3"

@@ -1,0 +1,100 @@
+"""Silent, raving and trembling sensors on a hand-wound clock."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from backend.core.flow import FINGERS, TactileFrame
+from backend.core.stream import SampleStream, Stream
+from backend.devices.interlock import Interlock
+from backend.devices.supervision import GRACE_S, Supervision
+
+IMAGE = np.zeros((240, 320, 3), dtype=np.uint8)
+
+
+class Watched:
+    """Sensors that deliver what they are told, supervised every 20 ms."""
+
+    def __init__(self) -> None:
+        self.interlock = Interlock()
+        self.wrench = SampleStream("wrench", 6, 10_000)
+        self.frames = {finger: Stream(f"tactile_{finger}", 64) for finger in FINGERS}
+        self.supervision = Supervision(self.interlock, self.wrench, self.frames)
+        self.supervision.begin(0.0)
+        self.now_s, self.sequence = 0.0, 0
+
+    def run(self, seconds: float, value: float | None = 0.0, silent: str = "") -> None:
+        for _ in range(round(seconds / 0.02)):
+            t_s = self.now_s + 0.001 * np.arange(1, 21)
+            self.now_s += 0.02
+            if value is not None:
+                wrench = np.zeros((20, 6))
+                wrench[:, 2] = value
+                self.wrench.put(t_s, wrench)
+            self.sequence += 1
+            if self.sequence % 2:
+                for finger in FINGERS:
+                    if finger != silent:
+                        frame = TactileFrame(finger, self.sequence, self.now_s, IMAGE)
+                        self.frames[finger].put(self.now_s, frame)
+            self.supervision.check(self.now_s)
+
+    def codes(self) -> list[tuple[str, str]]:
+        return [(fault.code, fault.device) for fault in self.interlock.faults]
+
+
+def test_healthy_sensors_raise_nothing() -> None:
+    bench = Watched()
+    bench.run(5.0, 8.0)
+    assert not bench.interlock.latched
+
+
+@pytest.mark.parametrize("finger", FINGERS)
+def test_a_silent_camera_is_named_after_half_a_second(finger: str) -> None:
+    bench = Watched()
+    bench.run(2.0)
+    bench.run(0.44, silent=finger)
+    assert not bench.interlock.latched
+    bench.run(0.12, silent=finger)
+    assert bench.codes() == [("CAMERA-STALE", f"tactile_{finger}")]
+
+
+@pytest.mark.parametrize("value", [None, float("nan"), float("inf")])
+def test_no_valid_wrench_for_300_ms_is_a_fault(value: float | None) -> None:
+    bench = Watched()
+    bench.run(2.0)
+    bench.run(0.28, value)
+    assert not bench.interlock.latched
+    bench.run(0.06, value)
+    assert bench.codes() == [("FT-STALE", "force_torque")]
+
+
+def test_sensors_get_time_to_start_and_then_no_more() -> None:
+    bench = Watched()
+    bench.run(GRACE_S - 0.04, None, silent="left")
+    assert not bench.interlock.latched
+    bench.run(0.1, None, silent="left")
+    assert ("FT-STALE", "force_torque") in bench.codes()
+    assert ("CAMERA-STALE", "tactile_left") in bench.codes()
+
+
+def test_the_trip_needs_two_samples_or_one_huge_one() -> None:
+    bench = Watched()
+    bench.run(1.5)
+    one = np.zeros((20, 6))
+    one[7, 2] = 45.0
+    bench.wrench.put(bench.now_s + 0.001 * np.arange(1, 21), one)
+    bench.supervision.check(bench.now_s + 0.02)
+    assert not bench.interlock.latched
+    one[8, 2] = 45.0
+    bench.wrench.put(bench.now_s + 0.021 + 0.001 * np.arange(1, 21), one)
+    bench.supervision.check(bench.now_s + 0.05)
+    assert bench.codes() == [("FT-TRIP", "force_torque")]
+    huge = Watched()
+    huge.run(1.5)
+    single = np.zeros((20, 6))
+    single[3, 0] = 61.0
+    huge.wrench.put(huge.now_s + 0.001 * np.arange(1, 21), single)
+    huge.supervision.check(huge.now_s + 0.02)
+    assert huge.codes() == [("FT-TRIP", "force_torque")]

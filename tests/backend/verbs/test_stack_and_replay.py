@@ -1,0 +1,112 @@
+"""``stack`` and ``replay`` as scripts see them: JSON contract, exit codes, one clear error."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from backend.__main__ import main
+from backend.runs.journal import NAME
+
+TRIAL_KEYS = {"seed", "outcome", "reason", "probes", "excess_probes", "margin_mm"}
+OUTCOMES = {"placed", "fell", "knocked_over", "gave_up", "aborted"}
+
+
+def call(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    status = main([*words, "--json"])
+    told = capsys.readouterr()
+    return status, told.out, told.err
+
+
+def test_stack_then_replay_tell_the_same(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = str(tmp_path / "runs")
+    words = ("stack", "--piece", "pot", "--bottom", "short", "--seed", "0", "--runs", runs)
+    status, out, err = call(capsys, *words)
+    told = json.loads(out)
+    assert err == ""
+    assert {"piece", "bottom", "strategy", "trials"} <= set(told)
+    (trial,) = told["trials"]
+    assert set(trial) == TRIAL_KEYS
+    assert trial["outcome"] in OUTCOMES
+    assert status == (0 if trial["outcome"] == "placed" else 1)
+    status, out, err = call(capsys, "replay", "latest", "--runs", runs)
+    again = json.loads(out)
+    assert status == 0
+    assert again["trials"][0]["probes"] == trial["probes"]
+    assert again["facts"]["EpisodeRecorded"] == trial["probes"]
+    episodes = list((tmp_path / "runs").glob("*/episodes/*.mcap"))
+    assert len(episodes) == trial["probes"]
+
+
+def test_the_shipped_model_is_the_one_recorded(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = tmp_path / "runs"
+    call(capsys, "stack", "--inject", "tactile_left:stop@0.5", "--runs", str(runs))
+    head = (next(runs.glob("*")) / NAME).read_text("utf-8").splitlines()[1]
+    settings = json.loads(json.loads(head)["settings"])
+    assert set(settings) == {"request", "method", "simulation", "disturbances", "model", "program"}
+    assert settings["disturbances"] == ["tactile_left:stop@0.5"]
+    assert len(settings["model"]["weights_sha256"]) == 64
+
+
+@pytest.mark.parametrize(
+    ("words", "where"),
+    [
+        (("--piece", "nope"), "nope"),
+        (("--piece", "short"), "short"),
+        (("--bottom", "nope"), "nope"),
+        (("--bottom", ""), "--bottom"),
+        (("--bottom", "pot+short"), ""),
+        (("--model", "no/such/file.safetensors"), "no/such/file.safetensors"),
+        (("--bench", "no/such/file.toml"), "no/such/file.toml"),
+        (("--preset", "easy"), "preset"),
+        (("--inject", "camera"), "camera"),
+        (("--trials", "0"), "--trials"),
+    ],
+)
+def test_bad_input_is_one_error_and_leaves_nothing_behind(
+    words: tuple[str, ...], where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = tmp_path / "runs"
+    status, out, err = call(capsys, "stack", *words, "--runs", str(runs))
+    assert status == 2
+    assert out == ""
+    error = json.loads(err)["error"]
+    assert set(error) == {"what", "where", "fix"}
+    assert where in error["where"]
+    assert all(error.values())
+    assert not runs.exists()
+
+
+def test_a_run_killed_in_the_middle_replays_to_its_last_fact(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = tmp_path / "runs"
+    command = [sys.executable, "-m", "backend", "stack", "--trials", "50", "--runs", str(runs)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=os.environ) as child:
+        assert child.stdout is not None
+        for line in child.stdout:
+            if b"Probe 2" in line:
+                break
+        child.send_signal(signal.SIGKILL)
+        child.wait(10)
+    status, out, _ = call(capsys, "replay", "latest", "--runs", str(runs))
+    told = json.loads(out)
+    assert status == 0
+    assert told["ending"] == "interrupted"
+    assert told["facts"]["ActionChosen"] >= 2
+    assert told["facts"]["EpisodeRecorded"] >= 1
+    (folder,) = runs.glob("*")
+    kept = {path.stem for path in folder.glob("episodes/*.mcap")}
+    lines = [json.loads(line) for line in (folder / NAME).read_bytes().splitlines()[1:]]
+    told_ids = {f["episode"]["episode_id"] for f in lines if f["kind"] == "EpisodeRecorded"}
+    assert told_ids <= kept

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
 from backend.assembly import SimulatedBenchChoice, simulated_session
@@ -10,6 +12,8 @@ from backend.core.flow import Outcome
 from backend.runs.requests import StackRequest, Strategy
 from tests.bench.registry import Figure, figure
 
+FIRST_SEED = 100
+"""Sixty seeds, none used twice: each cell has ten of its own."""
 PIECES, BOTTOMS, TRIALS = ("pot", "mushroom", "barrel"), ("short", "long"), 10
 UNSAFE = (Outcome.FELL, Outcome.KNOCKED_OVER)
 
@@ -20,11 +24,9 @@ def _sixty(preset: str | None, strategy: Strategy) -> tuple[list[TrialFinished],
     session = simulated_session(SimulatedBenchChoice(preset=preset))
     session.hub.subscribe(facts.append)
     try:
-        for piece in PIECES:
-            for bottom in BOTTOMS:
-                session.run(
-                    StackRequest(piece, (bottom,), seed=100, trials=TRIALS, strategy=strategy)
-                )
+        for cell, (piece, bottom) in enumerate(product(PIECES, BOTTOMS)):
+            seed = FIRST_SEED + TRIALS * cell
+            session.run(StackRequest(piece, (bottom,), seed, trials=TRIALS, strategy=strategy))
     finally:
         session.close()
     ends = [fact for fact in facts if isinstance(fact, TrialFinished)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
@@ -71,7 +71,6 @@ class SimulatedScoring:
     bench: SimulatedBench
     longest_step_mm: float
     animate: bool
-    _verdict: ReleaseVerdict | None = field(default=None, init=False)
 
     def start_mm(self) -> tuple[float, float]:
         """Return the true offset at the start."""
@@ -98,17 +97,17 @@ class SimulatedScoring:
         return 1 + steps
 
     def verdict(self) -> ReleaseVerdict:
-        """Judge the scene as it is; the animation is made once, after a fall."""
+        """Judge the scene as it is; after the release the physics engine is asked as well."""
         truth = self.bench.truth()
-        if truth.stands is False and self.animate and self._verdict is None:
+        if truth.stands is not None and self.animate:
             truth = self.bench.truth(animate=True)
-        verdict = ReleaseVerdict(
-            bool(truth.stands), truth.knocked_over, truth.margin_mm, truth.fall
+        return ReleaseVerdict(
+            bool(truth.stands),
+            truth.knocked_over,
+            truth.margin_mm,
+            truth.fall,
+            truth.contradicted is True,
         )
-        if truth.stands is not None:
-            self._verdict = self._verdict or verdict
-            return self._verdict
-        return verdict
 
 
 def shipped_model(piece: str) -> Path:

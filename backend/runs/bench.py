@@ -39,12 +39,16 @@ class EpisodeStore(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ReleaseVerdict:
-    """What a bench with known truth says after the jaws opened."""
+    """What a bench with known truth says after the jaws opened.
+
+    ``contradicted``: a second judge, where there is one, says otherwise beyond its own error.
+    """
 
     stands: bool
     knocked_over: bool
     margin_mm: float
     fall: Fall | None
+    contradicted: bool = False
 
 
 class Scoring(Protocol):

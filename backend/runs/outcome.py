@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from backend.core.facts import Released, TrialFinished
+from backend.core.facts import Released, Said, TrialFinished
 from backend.core.flow import Outcome
 from backend.runs import words
 from backend.runs.bench import Bench
@@ -17,6 +17,8 @@ def after_release(bench: Bench, probe: int) -> Plan[Ending]:
         return Ending(Outcome.PLACED, "The piece was released; the operator confirms.", probe)
     verdict = bench.scoring.verdict()
     yield Released(bench.now_s(), probe, verdict.stands, verdict.margin_mm, verdict.fall)
+    if verdict.contradicted:
+        yield Said(bench.now_s(), words.CONTRADICTED)
     if verdict.knocked_over:
         return Ending(Outcome.KNOCKED_OVER, "The support was knocked over.", probe)
     outcome = Outcome.PLACED if verdict.stands else Outcome.FELL

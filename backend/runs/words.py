@@ -6,6 +6,8 @@ import math
 
 from backend.core.flow import ContactPatch, PlaceAction, Stability, SupportKind
 
+CONTRADICTED = "The physics engine contradicts the static judge here; the static judge decides."
+
 
 def decision(probe: int, patch: ContactPatch, stability: Stability, action: PlaceAction) -> str:
     """One line per probe: estimate, belief, verdict with signed margin, chosen move."""

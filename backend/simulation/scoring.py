@@ -9,7 +9,7 @@ import numpy as np
 
 from backend.core.flow import Fall
 from backend.objects.tower import Tower, judge
-from backend.simulation.release_mujoco import available, simulate_release
+from backend.simulation.release_mujoco import available, differs, simulate_release
 from backend.simulation.scene import Scene
 
 DROP_MM = 2.0
@@ -22,7 +22,8 @@ class Truth:
 
     ``offset_mm``: displacement of the face from ``O``. ``margin_mm``: signed margin of the whole
     tower, as if released here; after the release the one that decided. ``stands``: None before the
-    release. ``slip_mm``: largest slip of a pad in the present gripping.
+    release. ``slip_mm``: largest slip of a pad in the present gripping. ``contradicted``: whether
+    the physics engine disagrees with the exact judge beyond its own error, None if not asked.
     """
 
     offset_mm: tuple[float, float]
@@ -32,6 +33,7 @@ class Truth:
     fall: Fall | None
     slip_mm: float
     knocked_over: bool
+    contradicted: bool | None = None
 
 
 def stacked(scene: Scene, offset_mm: tuple[float, float], yaw_rad: float) -> Tower:
@@ -64,8 +66,15 @@ def drops(gap_mm: float) -> bool:
     return not (math.isfinite(gap_mm) and gap_mm <= DROP_MM)
 
 
-def animated_fall(scene: Scene, offset_mm: tuple[float, float], yaw_rad: float) -> Fall | None:
-    """Return the motion after the release where the optional engine is installed, else None."""
+def second_opinion(
+    scene: Scene, offset_mm: tuple[float, float], yaw_rad: float, kick_mm: tuple[float, float]
+) -> tuple[Fall | None, bool] | None:
+    """Ask the physics engine: (motion if the piece fell, whether it contradicts the exact judge).
+
+    None where the optional engine is not installed.
+    """
     if not available():
         return None
-    return simulate_release(stacked(scene, offset_mm, yaw_rad))[1]
+    tower = stacked(scene, offset_mm, yaw_rad)
+    fallen, motion = simulate_release(tower, disturbance_mm=kick_mm)
+    return (motion if fallen else None), differs(judge(tower, kick_mm), fallen)

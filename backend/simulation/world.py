@@ -7,12 +7,12 @@ which they came: the same scene and commands give the same bytes however time is
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from backend.config.method import ProbeSettings
-from backend.core.flow import FINGERS, Fall, Finger, FloatArray
+from backend.core.flow import FINGERS, Finger, FloatArray
 from backend.simulation import scoring
 from backend.simulation.arm import ArmDrive, Cycle, Press, PressLaw, Travel, Unload
 from backend.simulation.disturbances import Script
@@ -140,9 +140,9 @@ class World:
     # -- truth ------------------------------------------------------------------------------------
 
     def truth(self, *, animate: bool = False) -> Truth:
-        """Return how things are; the fall is computed only if asked for, once."""
+        """Return how things are; the engine is asked only with ``animate``, and once."""
         if self._final is not None:
-            return self._with_fall(self._final) if animate else self._final
+            return self._with_opinion(self._final) if animate else self._final
         offset, yaw = self._placed()
         return Truth(
             offset_mm=offset,
@@ -188,20 +188,15 @@ class World:
         # A piece that was put down is not taken again: a trial ends with its release.
         self.jaws.piece_present = False
 
-    def _with_fall(self, final: Truth) -> Truth:
-        if final.stands or final.fall is not None:
-            return final
-        fall: Fall | None = scoring.animated_fall(self.scene, final.offset_mm, final.yaw_rad)
-        self._final = Truth(
-            final.offset_mm,
-            final.yaw_rad,
-            final.margin_mm,
-            final.stands,
-            fall,
-            final.slip_mm,
-            final.knocked_over,
-        )
-        return self._final
+    def _with_opinion(self, final: Truth) -> Truth:
+        if final.contradicted is None and not final.knocked_over:
+            kick = scoring.release_kick_mm(self.scene, self._grips)
+            opinion = scoring.second_opinion(self.scene, final.offset_mm, final.yaw_rad, kick)
+            if opinion is not None:
+                fall, contradicted = opinion
+                fall = None if final.stands else fall
+                self._final = replace(final, fall=fall, contradicted=contradicted)
+        return self._final or final
 
     def _watch_dragging(self, command: FloatArray) -> None:
         holding = self._holding

@@ -29,6 +29,7 @@ from app.stop_key import StopKey
 from backend.core.facts import Fact, FaultRaised, FaultsReset, RunFinished, Said
 from backend.core.faults import TouchdownError
 from backend.core.hub import Mailbox
+from widgets.decision_panel import NOTHING_YET
 from widgets.fault_cards import CardText, FaultCards, Question
 from widgets.key_sheet import KeySheet
 from widgets.pump import Pump
@@ -79,6 +80,7 @@ class TouchdownApp(QObject):
         self._closing_allowed = False
         self._sheet: KeySheet | None = None
         self.bar.pill.show_state(PillState("CONNECTING", "ring", "blue", "preparing the bench"))
+        self.page.show_waiting("Connecting", "The bench is being prepared.")
         if warning:
             self.cards.show_card(CardText("SETTINGS", warning, "", "", reset=False))
 
@@ -113,6 +115,7 @@ class TouchdownApp(QObject):
             [(name, shown.piece(name).title) for name in shown.bottoms],
         )
         self.page.run.show_form(self._settings.form)
+        self.page.decision.show_text(NOTHING_YET)
         self.window.show_simulated(link.simulated)
         self.bar.show_hardware_stop("none (simulated)" if link.simulated else "unknown")
         link.open()
@@ -310,10 +313,12 @@ class TouchdownApp(QObject):
         elif isinstance(fact, Said):
             self.window.show_message(fact.text)
         elif isinstance(fact, RunFinished) and fact.ending != "finished":
-            self.window.show_message(f"The run was {fact.ending}: {fact.reason}")
+            was = "failed" if fact.ending == "failed" else f"was {fact.ending}"
+            self.window.show_message(f"The run {was}: {fact.reason}")
 
     def _connect_failed(self, error: Exception) -> None:
         self.bar.pill.show_state(PillState("NO DEVICES", "ring", "grey"))
+        self.page.show_waiting("No bench", "Nothing is connected.")
         self.cards.show_card(
             CardText(
                 "CONNECT",
@@ -344,7 +349,8 @@ class TouchdownApp(QObject):
         self.stack.draw()
         self._side.draw()
         self.bar.pill.show_state(pill_of(self._link))
-        self.window.show_right(f"{self._link.pace:.2f}\N{MULTIPLICATION SIGN} real time")
+        pace = self._link.pace
+        self.window.show_right(f"{pace:.2f}\N{MULTIPLICATION SIGN} real time" if pace else "")
 
 
 def _stay() -> None:

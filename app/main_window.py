@@ -74,6 +74,9 @@ class MainWindow(QMainWindow):
         column.addLayout(middle, 1)
         column.addWidget(self._foot())
         self.setCentralWidget(frame)
+        # Holds the focus at the start, so that no control looks chosen before Tab is pressed.
+        frame.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
+        frame.setFocus()
 
     def _rail(self) -> QFrame:
         rail = QFrame()

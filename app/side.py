@@ -10,14 +10,16 @@ from dataclasses import replace
 import numpy as np
 
 from app.link import Link
-from backend.core.facts import Fact, Released, RunStarted, TrialStarted
+from backend.core.facts import Fact, PhaseEntered, Released, RunStarted, TrialStarted
 from backend.core.faults import InputError, StaleSampleError
-from backend.core.flow import Fall, FloatArray
+from backend.core.flow import Fall
 from backend.devices.protocols import Arm, Device, Gripper
 from backend.objects.catalogue import Piece
 from widgets.panel import Panel
-from widgets.side_view import SideBody, SideScene, SideView
+from widgets.side_view import USUAL_SPAN_MM, SideBody, SideScene, SideView
 
+HOLD_S = 3.0
+"""So long after a release its end stays in view, also when the next trial has begun."""
 EVERY = 2
 """Drawn on every second tick: 15 pictures a second are smooth for an arm."""
 
@@ -35,51 +37,69 @@ class SidePresenter:
         self._link, self._view, self._panel, self._now_s = link, view, panel, now_s
         self._piece: Piece | None = None
         self._bottoms: tuple[SideBody, ...] = ()
+        self._table_mm, self._names = 0.0, ""
         self._let_go: SideBody | None = None
         self._fall: Fall | None = None
         self._fall_s = 0.0
         self._stands: bool | None = None
-        self._tick = 0
+        self._tick = self._trial = self._let_go_in = 0
 
     def take(self, fact: Fact) -> None:
         """Note what is in the scene and what was let go."""
         if isinstance(fact, RunStarted):
             self._piece = self._known(fact.piece)
             names = fact.bottom.split("+")
-            self._bottoms = _tower([p for p in map(self._known, names) if p is not None])
+            self._stand_on([p for p in map(self._known, names) if p is not None])
+            self._let_go = None
         elif isinstance(fact, TrialStarted):
-            self._let_go = self._fall = self._stands = None
+            self._trial = fact.trial
+        elif isinstance(fact, PhaseEntered) and fact.phase == "rise":
+            self._leave()
         elif isinstance(fact, Released):
-            self._let_go = self._held()
+            if self._let_go is None or self._let_go_in != self._trial:
+                self._leave()
             self._stands, self._fall, self._fall_s = fact.stands, fact.fall, self._now_s()
+
+    def _leave(self) -> None:
+        """Leave the piece where it is while the hand rises."""
+        held = self._held()
+        self._let_go = None if held is None else replace(held, z_mm=0.0)
+        self._let_go_in, self._stands, self._fall = self._trial, None, None
+        self._fall_s = self._now_s()
 
     def draw(self) -> None:
         """Show the present scene."""
         self._tick += 1
         if not self._view.isVisible() or self._piece is None or self._tick % EVERY:
             return
-        piece = self._let_go
-        caption = ""
-        if piece is None:
-            piece = self._held()
-        else:
-            caption = "stands" if self._stands else "fell"
-            if not self._stands:
-                piece = self._fallen(piece, self._piece.name)
-        self._panel.detail.setText(caption or (f"x {piece.x_mm:+.1f} mm" if piece else ""))
-        self._view.show_scene(
-            SideScene(
-                self._bottoms,
-                piece,
-                self._piece.grip_height_mm or 0.0,
-                self._jaws() if self._let_go is None else None,
-                self._names(),
-            )
-        )
+        over = self._let_go_in != self._trial
+        if over and self._now_s() - self._fall_s > HOLD_S:
+            self._let_go = None
+        hand = None if over and self._let_go is not None else self._hand()
+        self._panel.detail.setText(self._words(hand))
+        self._view.show_scene(self._scene(hand))
 
-    def _names(self) -> str:
+    def _words(self, hand: tuple[float, float] | None) -> str:
+        if self._let_go is None:
+            return "" if hand is None else f"x {hand[0]:+.1f} mm".replace("-", "\N{MINUS SIGN}")
+        if self._stands is None:
+            return "let go"
+        return f"trial {self._let_go_in}: {'stands' if self._stands else 'fell'}"
+
+    def _scene(self, hand: tuple[float, float] | None) -> SideScene:
         assert self._piece is not None
-        return f"{self._piece.title} on {' on '.join(b.name for b in reversed(self._bottoms))}"
+        bottoms, piece, span = self._bottoms, self._let_go or self._held(), USUAL_SPAN_MM
+        if self._let_go is not None and self._fall is not None and piece is not None:
+            piece = self._fallen(piece)
+            bottoms = tuple(self._fallen(body) for body in bottoms)
+            span = self._span(piece)
+        return SideScene(bottoms, piece, hand, self._jaws(), self._table_mm, self._names, span)
+
+    def _span(self, piece: SideBody) -> tuple[float, float]:
+        """Return how far to look to either side so that the fallen piece is in the picture."""
+        last = self._fallen(piece, at_end=True)
+        x = np.concatenate([part[:, 0] for part in last.outlines_mm()])
+        return min(-30.0, float(x.min()) - 8.0), max(30.0, float(x.max()) + 8.0)
 
     def _known(self, name: str) -> Piece | None:
         try:
@@ -87,63 +107,61 @@ class SidePresenter:
         except InputError:
             return None
 
-    def _held(self) -> SideBody | None:
+    def _hand(self) -> tuple[float, float] | None:
         device = self._link.devices.get("arm")
-        if device is None or self._piece is None:
+        if device is None:
             return None
         try:
             _, pose = _arm(device).poses.latest(self._link.clock_s(), math.inf)
         except StaleSampleError:
             return None
-        piece = self._piece
-        x, z = round(float(pose[0]), 2), round(float(pose[2]) - (piece.grip_height_mm or 0.0), 2)
-        return SideBody(piece.name, piece.face.half_extents_mm[0], _top_half_mm(piece),
-                        piece.height_mm, x, z)  # fmt: skip
+        return round(float(pose[0]), 2), round(float(pose[2]), 2)
 
-    def _jaws(self) -> float | None:
+    def _held(self) -> SideBody | None:
+        hand, piece = self._hand(), self._piece
+        if hand is None or piece is None:
+            return None
+        z_mm = hand[1] - (piece.grip_height_mm or 0.0)
+        return SideBody(piece.name, piece.face.half_extents_mm[0], 0.5 * piece.width_mm,
+                        piece.height_mm, hand[0], z_mm)  # fmt: skip
+
+    def _jaws(self) -> float:
         device = self._link.devices.get("gripper")
         if device is None or self._piece is None:
-            return None
-        return max(0.5 * _gripper(device).status().width_mm, _top_half_mm(self._piece))
+            return 0.0
+        return max(0.5 * _gripper(device).status().width_mm, 0.5 * self._piece.width_mm)
 
-    def _fallen(self, still: SideBody, name: str) -> SideBody:
-        """Return a body along its recorded fall, seen along y; unmoved without a record.
+    def _fallen(self, still: SideBody, *, at_end: bool = False) -> SideBody:
+        """Return a body along its recorded fall; unmoved without a record.
 
-        The record holds the centre of each body's lower face in m and its quaternion.
+        The record holds the centre of each body's lower face in m and its quaternion. It knows the
+        piece by its lower outline alone: drawn with its wider upper part it is raised until
+        nothing is below the table.
         """
         fall = self._fall
-        if fall is None or len(fall.t_s) == 0 or name not in fall.names:
+        if fall is None or len(fall.t_s) == 0 or still.name not in fall.names:
             return still
-        elapsed_s = self._now_s() - self._fall_s
-        index = int(np.searchsorted(fall.t_s - fall.t_s[0], elapsed_s))
-        pose = fall.pose[min(index, len(fall.t_s) - 1), fall.names.index(name)]
-        return replace(
-            still,
-            x_mm=round(1e3 * float(pose[0]), 2),
-            z_mm=round(1e3 * float(pose[2]), 2),
-            tilt_rad=round(tilt_about_y(pose[3:]), 4),
+        elapsed_s = math.inf if at_end else self._now_s() - self._fall_s
+        index = min(int(np.searchsorted(fall.t_s - fall.t_s[0], elapsed_s)), len(fall.t_s) - 1)
+        x_m, _, z_m, *turn = fall.pose[index, fall.names.index(still.name)].tolist()
+        w, x, y, z = (round(part, 4) for part in turn)
+        moved = replace(
+            still, x_mm=round(1e3 * x_m, 2), z_mm=round(1e3 * z_m, 2), turn=(w, x, y, z)
         )
+        lowest = min(float(part[:, 1].min()) for part in moved.outlines_mm())
+        return replace(moved, z_mm=moved.z_mm + max(0.0, self._table_mm - lowest))
 
-
-def tilt_about_y(quaternion: FloatArray) -> float:
-    """Angle in rad by which the body's z axis leans towards x (w x y z quaternion)."""
-    w, x, y, z = (float(v) for v in quaternion)
-    return math.atan2(2 * (x * z + w * y), 1 - 2 * (x * x + y * y))
-
-
-def _tower(pieces: list[Piece]) -> tuple[SideBody, ...]:
-    bodies: list[SideBody] = []
-    top_mm = 0.0
-    for piece in reversed(pieces):
-        half = piece.face.half_extents_mm[0]
-        bodies.append(SideBody(piece.title, half, half, piece.height_mm, 0.0,
-                               top_mm - piece.height_mm))  # fmt: skip
-        top_mm -= piece.height_mm
-    return tuple(reversed(bodies))
-
-
-def _top_half_mm(piece: Piece) -> float:
-    return 0.5 * piece.width_mm
+    def _stand_on(self, pieces: list[Piece]) -> None:
+        """Note the bottoms, given from the table up; z = 0 is the top of the last one."""
+        bodies: list[SideBody] = []
+        top_mm = 0.0
+        for piece in reversed(pieces):
+            half = piece.face.half_extents_mm[0]
+            top_mm -= piece.height_mm
+            bodies.append(SideBody(piece.name, half, half, piece.height_mm, 0.0, top_mm))
+        self._bottoms, self._table_mm = tuple(reversed(bodies)), top_mm
+        titles = [p.title for p in reversed(pieces)]
+        self._names = " on ".join([self._piece.title, *titles] if self._piece else titles)
 
 
 def _arm(device: Device) -> Arm:

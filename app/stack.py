@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.link import Link
-from app.run_story import ProbeLook, RunStory, scene_of
+from app.run_story import ProbeLook, RunStory, TrialStory, scene_of
 from app.stack_page import StackPage
 from app.tally import wilson
 from backend.core.facts import Fact, TrialFinished
@@ -76,7 +76,7 @@ class StackPresenter:
 
     def choose(self, index: int) -> None:
         """Look back at a probe; the newest one follows the run again."""
-        trial = self.story.trial
+        trial = self._shown_trial()
         last = len(trial.probes) - 1 if trial is not None else 0
         self._chosen = None if index >= last else index
         self._shown_version = -1
@@ -147,8 +147,16 @@ class StackPresenter:
             self._asking = asking
             self._page.decision.show_question(asking, button)
 
+    def _shown_trial(self) -> TrialStory | None:
+        """Return the newest trial; until it has a map, the one before stays with its outcome."""
+        trials = self.story.trials
+        if len(trials) < 2 or trials[-1].finished is not None:
+            return self.story.trial
+        begun = any(look.belief is not None for look in trials[-1].probes)
+        return trials[-1] if begun else trials[-2]
+
     def _draw_story(self) -> None:
-        trial = self.story.trial
+        trial = self._shown_trial()
         self._page.score.show_score(self._score())
         if trial is None or not trial.probes:
             self._page.belief.show_scene(BeliefScene())
@@ -156,7 +164,7 @@ class StackPresenter:
             self._page.strip.show_probes([], -1)
             self._page.belief_panel.detail.setText("")
             if trial is not None and trial.finished is not None:
-                self._page.decision.show_text(_ended(trial.finished))
+                self._page.decision.show_text(self._ended(trial.finished))
             elif trial is not None:
                 text = DecisionText("Probing", "", "", "The first press follows.")
                 self._page.decision.show_text(text)
@@ -176,18 +184,32 @@ class StackPresenter:
 
     def _decision(self, look: ProbeLook, *, looking_back: bool) -> DecisionText:
         text = decide_in_words(look.stability, look.action)
-        trial = self.story.trial
+        trial = self._shown_trial()
         if looking_back:
             return DecisionText(text.verdict, text.tone, text.margin,
                                 f"Looking back at probe {look.probe}. {text.text}")  # fmt: skip
         if trial is None or trial.finished is None:
             return text
-        return _ended(trial.finished)
+        return self._ended(trial.finished)
+
+    def _ended(self, done: TrialFinished) -> DecisionText:
+        placed = done.outcome is Outcome.PLACED
+        mark = "\N{CHECK MARK}" if placed else "\N{MULTIPLICATION X}"
+        margin = "" if done.margin_mm is None else signed_mm(done.margin_mm)
+        head = self.story.head
+        which = f"Trial {done.trial} " if head is not None and head.trials > 1 else "The piece "
+        return DecisionText(
+            f"{mark} {which}{WORDS[done.outcome]}",
+            "good" if placed else "bad",
+            margin,
+            done.reason,
+            "true margin" if self._link.simulated else "margin",
+        )
 
     def _scene(self, index: int) -> BeliefScene:
-        trial = self.story.trial
+        trial = self._shown_trial()
         assert trial is not None
-        key = (len(self.story.trials), index, trial.finished is not None)
+        key = (trial.trial, index, trial.finished is not None)
         look = trial.probes[index]
         kept = self._scenes.get(key)
         if kept is None or kept[0] is not look:
@@ -238,14 +260,6 @@ def request_of(form: RunForm) -> StackRequest:
         strategy=strategy,
         mode=modes.get(form.mode, "auto"),
     )
-
-
-def _ended(done: TrialFinished) -> DecisionText:
-    placed = done.outcome is Outcome.PLACED
-    mark = "\N{CHECK MARK}" if placed else "\N{MULTIPLICATION X}"
-    margin = "" if done.margin_mm is None else signed_mm(done.margin_mm)
-    word = WORDS[done.outcome].capitalize()
-    return DecisionText(f"{mark} {word}", "good" if placed else "bad", margin, done.reason)
 
 
 def _caption(look: ProbeLook) -> str:

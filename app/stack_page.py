@@ -12,8 +12,9 @@ from backend.core.flow import FINGERS, Finger
 from widgets.belief_legend import BeliefLegend
 from widgets.belief_view import BeliefView
 from widgets.colour_maps import MAPS
-from widgets.decision_panel import DecisionPanel
+from widgets.decision_panel import DecisionPanel, DecisionText
 from widgets.force_traces import TracePlot
+from widgets.freshness import Age
 from widgets.panel import Panel, rule
 from widgets.probe_strip import ProbeStrip
 from widgets.run_panel import RunPanel
@@ -97,6 +98,14 @@ class StackPage(QWidget):
         """Give the controls the width that their text needs."""
         em = QFontMetrics(ui_font(self._theme.scale)).height()
         self._right.setMinimumWidth(round(16.5 * em))
+
+    def show_waiting(self, verdict: str, why: str) -> None:
+        """Say why nothing is shown yet, wherever something will be shown."""
+        for view in self.tactile.values():
+            view.show_age(Age.NEVER, 0.0, why)
+        for plot in (self.force, self.moment):
+            plot.show_age(Age.NEVER, 0.0, why)
+        self.decision.show_text(DecisionText(verdict, "", "", why))
 
     def fit(self) -> None:
         """Fit the ranges of both plots."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
-from PySide6.QtGui import QPainter, QPaintEvent, QPen
+from PySide6.QtGui import QFontMetrics, QPainter, QPaintEvent, QPen, QResizeEvent
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from widgets.theme import Theme, ui_font
@@ -32,11 +32,17 @@ class BeliefLegend(QWidget):
         """Add or leave out the true overlap."""
         if shown != self._truth:
             self._truth = shown
+            self.updateGeometry()
             self.update()
 
+    def resizeEvent(self, _event: QResizeEvent) -> None:
+        """Ask for another row where the entries do not fit."""
+        self.updateGeometry()
+
     def sizeHint(self) -> QSize:
-        """Return two lines of text."""
-        return QSize(300, self._line())
+        """Return the rows that the present width needs."""
+        rows = 1 + max((row for _, _, _, row in self._places()), default=0)
+        return QSize(300, rows * self._line())
 
     def minimumSizeHint(self) -> QSize:
         """Return the same as the size hint."""
@@ -46,23 +52,30 @@ class BeliefLegend(QWidget):
         return self.fontMetrics().height() + 2
 
     def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw the entries, centred, in at most two rows."""
+        """Draw the entries, row by row."""
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setFont(ui_font(self._theme.scale, 0.88))
-        entries = (*ENTRIES, TRUTH) if self._truth else ENTRIES
-        metrics = painter.fontMetrics()
-        x, y, line = 0.0, 0.0, self._line()
-        for kind, text in entries:
-            width = 22 + metrics.horizontalAdvance(text) + 12
-            if x > 0 and x + width - 12 > self.width():
-                x, y = 0.0, y + line
+        line = self._line()
+        for kind, text, x, row in self._places():
+            y = row * line
             painter.setPen(QPen(self._theme.tokens.colour("text"), 1.6))
             _mark(painter, kind, QPointF(x + 9, y + line / 2))
             painter.setPen(self._theme.tokens.colour("muted"))
-            box = QRectF(x + 22, y, width, line)
+            box = QRectF(x + 22, y, self.width(), line)
             painter.drawText(box, int(Qt.AlignmentFlag.AlignVCenter), text)
+
+    def _places(self) -> list[tuple[str, str, float, int]]:
+        """Return (mark, text, x, row) of every entry."""
+        metrics = QFontMetrics(ui_font(self._theme.scale, 0.88))
+        x, row, places = 0.0, 0, []
+        for kind, text in (*ENTRIES, TRUTH) if self._truth else ENTRIES:
+            width = 22 + metrics.horizontalAdvance(text) + 12
+            if x > 0 and x + width - 12 > self.width():
+                x, row = 0.0, row + 1
+            places.append((kind, text, x, row))
             x += width
+        return places
 
 
 def _mark(painter: QPainter, kind: str, at: QPointF) -> None:

@@ -17,12 +17,16 @@ MINUS = "\N{MINUS SIGN}"
 
 @dataclass(frozen=True, slots=True)
 class DecisionText:
-    """What the panel says. ``tone``: "good", "bad" or "" (no verdict)."""
+    """What the panel says. ``tone``: "good", "bad" or "" (no verdict).
+
+    ``caption`` says what the margin is: estimated during a trial, true after a simulated one.
+    """
 
     verdict: str
     tone: str
     margin: str
     text: str
+    caption: str = "margin"
 
 
 NOTHING_YET = DecisionText("No verdict yet", "", "", "Press Start stacking to let the piece probe.")
@@ -99,12 +103,13 @@ class DecisionPanel(QFrame):
         """Show a decision."""
         self._verdict.setText(text.verdict)
         self._margin.setText(text.margin)
+        self._caption.setText(text.caption)
         self._caption.setVisible(bool(text.margin))
         self._text.setText(text.text)
         self._text.setToolTip(text.text)
         for part in (self._verdict, self._margin):
             set_property(part, "tone", text.tone)
-        self.setAccessibleDescription(f"{text.verdict}. {text.margin}. {text.text}")
+        self.setAccessibleDescription(f"{text.verdict}. {text.caption} {text.margin}. {text.text}")
 
     def show_question(self, text: str, button: str = "Approve  A") -> None:
         """Ask for approval; the empty text withdraws the question."""

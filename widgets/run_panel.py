@@ -183,7 +183,7 @@ class RunPanel(Panel):
         self.cancel.setEnabled(buttons.cancel)
         for field in (self._piece, self._bottom, self._under, self._seed, self._trials,
                       self._strategy, self._mode):  # fmt: skip
-            field.setEnabled(not buttons.cancel)
+            field.setEnabled(not buttons.cancel and self._piece.count() > 0)
         self.draw_icons()
 
     def draw_icons(self) -> None:

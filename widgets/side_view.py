@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
+import cv2
+import numpy as np
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
+from backend.core.flow import FloatArray
 from widgets.overlay import draw_message
 from widgets.theme import Theme, blend, ui_font
+
+Quaternion = tuple[float, float, float, float]
+UPRIGHT: Quaternion = (1.0, 0.0, 0.0, 0.0)
+USUAL_SPAN_MM = (-55.0, 55.0)
+_ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 
 
 @dataclass(frozen=True, slots=True)
 class SideBody:
-    """A body seen along y. ``x_mm, z_mm``: centre of its bottom face; ``tilt_rad`` about it.
+    """A body seen along y. ``x_mm, z_mm``: centre of its lower face.
 
-    ``face_mm``: half width of the bottom face, ``top_mm``: half width above it.
+    ``face_mm``: half width of the lower face, ``top_mm``: half width above it; ``turn``: how it is
+    turned about that centre, as a quaternion w x y z.
     """
 
     name: str
@@ -26,18 +34,49 @@ class SideBody:
     height_mm: float
     x_mm: float
     z_mm: float
-    tilt_rad: float = 0.0
+    turn: Quaternion = UPRIGHT
+
+    def outlines_mm(self) -> tuple[FloatArray, FloatArray]:
+        """Return what is seen of the foot and of the part above: two convex (k, 2) outlines."""
+        foot = min(0.2 * self.height_mm, 6.0)
+        return (self._seen(self.top_mm, foot, self.height_mm), self._seen(self.face_mm, 0.0, foot))
+
+    def _seen(self, radius_mm: float, low_mm: float, high_mm: float) -> FloatArray:
+        ring = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1) * radius_mm
+        points = np.concatenate(
+            [np.column_stack([ring, np.full(len(ring), z)]) for z in (low_mm, high_mm)]
+        )
+        seen = points @ rotation(self.turn)[[0, 2]].T + (self.x_mm, self.z_mm)
+        hull = cv2.convexHull(seen.astype(np.float32))
+        return np.asarray(hull.reshape(-1, 2), dtype=np.float64)
+
+
+def rotation(turn: Quaternion) -> FloatArray:
+    """Return the (3, 3) rotation of a unit quaternion w x y z."""
+    w, x, y, z = turn
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class SideScene:
-    """Bottoms from the table up, the piece, the grip height, and the jaws' half opening."""
+    """Bottoms from the table up, the piece, the hand, and how far to look to either side.
+
+    ``hand_mm``: grasp pivot (x, z), with ``jaws_mm`` the half opening; ``table_mm``: its height.
+    """
 
     bottoms: tuple[SideBody, ...] = ()
     piece: SideBody | None = None
-    grip_mm: float = 0.0
-    jaws_mm: float | None = None
+    hand_mm: tuple[float, float] | None = None
+    jaws_mm: float = 0.0
+    table_mm: float = 0.0
     caption: str = ""
+    span_mm: tuple[float, float] = USUAL_SPAN_MM
 
 
 class SideView(QWidget):
@@ -72,20 +111,19 @@ class SideView(QWidget):
         t = self._theme.tokens
         painter.fillRect(self.rect(), t.colour("bg"))
         if not self.scene.bottoms:
-            draw_message(painter, self.rect(), self._theme, "Nothing on the table")
+            draw_message(painter, self.rect(), self._theme, "Nothing stacked yet",
+                         "Piece and bottom appear with the first run.")  # fmt: skip
             return
         place = self._placing()
-        table = place(0.0, -sum(b.height_mm for b in self.scene.bottoms)).y()
-        painter.fillRect(
-            QRectF(0, table, self.width(), self.height() - table), t.colour("hairline")
-        )
-        grey, blue = t.colour("border"), t.colour("axis_x")
+        table = place(0.0, self.scene.table_mm).y()
+        floor = QRectF(0, table, self.width(), self.height() - table)
+        painter.fillRect(floor, t.colour("hairline"))
+        grey, blue = t.colour("border"), blend(t.colour("bg"), t.colour("axis_x"), 0.7)
         for body in self.scene.bottoms:
             _draw_body(painter, place, body, grey, t.colour("text"))
         if self.scene.piece is not None:
-            fill = blend(t.colour("bg"), blue, 0.7)
-            _draw_body(painter, place, self.scene.piece, fill, t.colour("text"))
-            self._draw_jaws(painter, place)
+            _draw_body(painter, place, self.scene.piece, blue, t.colour("text"))
+        self._draw_jaws(painter, place)
         painter.setPen(t.colour("muted"))
         painter.setFont(ui_font(self._theme.scale, 0.85))
         box = QRectF(self.rect()).adjusted(8, 4, -8, -4)
@@ -93,27 +131,24 @@ class SideView(QWidget):
                          self.scene.caption)  # fmt: skip
 
     def _placing(self) -> _Place:
-        depth = sum(b.height_mm for b in self.scene.bottoms)
-        top = self.scene.piece.height_mm + 14 if self.scene.piece is not None else 30.0
-        scale = min((self.height() - 8) / (depth + top + 4), self.width() / 110.0)
-        return _Place(self.width() / 2, self.height() - 6 - (depth + 3) * scale, scale)
+        scene = self.scene
+        top = scene.piece.height_mm + 14 if scene.piece is not None else 30.0
+        low, high = scene.span_mm
+        scale = min((self.height() - 8) / (top + 4 - scene.table_mm), self.width() / (high - low))
+        x_px = self.width() / 2 - 0.5 * (low + high) * scale
+        return _Place(x_px, self.height() - 6 - (3 - scene.table_mm) * scale, scale)
 
     def _draw_jaws(self, painter: QPainter, place: _Place) -> None:
         scene, t = self.scene, self._theme.tokens
-        if scene.jaws_mm is None or scene.piece is None:
+        if scene.hand_mm is None:
             return
         painter.setPen(QPen(t.colour("border"), 1))
         painter.setBrush(t.colour("raised"))
-        height = scene.piece.height_mm + 12
-        low = scene.piece.z_mm + max(scene.grip_mm - 7, 0)
+        x, z = scene.hand_mm
         for side in (-1, 1):
-            inner = scene.piece.x_mm + side * scene.jaws_mm
-            outer = inner + side * 5
-            painter.drawRoundedRect(
-                QRectF(place(inner, low), place(outer, scene.piece.z_mm + height)).normalized(),
-                2,
-                2,
-            )
+            inner = x + side * scene.jaws_mm
+            finger = QRectF(place(inner, z - 7), place(inner + side * 5, z + 22))
+            painter.drawRoundedRect(finger.normalized(), 2, 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,14 +164,7 @@ class _Place:
 
 
 def _draw_body(painter: QPainter, place: _Place, body: SideBody, fill: QColor, ink: QColor) -> None:
-    foot = min(0.2 * body.height_mm, 6.0)
-    outline = ((-body.face_mm, 0.0), (body.face_mm, 0.0), (body.face_mm, foot),
-               (body.top_mm, foot), (body.top_mm, body.height_mm), (-body.top_mm, body.height_mm),
-               (-body.top_mm, foot), (-body.face_mm, foot))  # fmt: skip
-    cos, sin = math.cos(body.tilt_rad), math.sin(body.tilt_rad)
-    corners = [
-        place(body.x_mm + cos * x + sin * z, body.z_mm - sin * x + cos * z) for x, z in outline
-    ]
     painter.setPen(QPen(ink, 1))
     painter.setBrush(fill)
-    painter.drawPolygon(QPolygonF(corners))
+    for outline in body.outlines_mm():
+        painter.drawPolygon(QPolygonF([place(x, z) for x, z in outline.tolist()]))

@@ -112,7 +112,7 @@ class StandInBench:
         self.started, self.answers, self.stops, self.resets = [], [], 0, 0
         self.opened = self.closed = False
         self._status = RunStatus(RunState.IDLE)
-        self._now_us = 0
+        self._now_us = self._trial = 0
         self._rng = np.random.default_rng(3)
         self.press = 0.0
         self._background = {f: _gel(1 if f == "left" else 2) for f in FINGERS}
@@ -195,6 +195,7 @@ class StandInBench:
 
     def tell_trial(self, trial):
         """Announce a trial."""
+        self._trial = trial
         self.hub.publish(TrialStarted(self.clock_s(), trial, 7 + trial, (7.2, 3.1)))
 
     def tell_probe(self, probe, offset, margin):
@@ -213,7 +214,7 @@ class StandInBench:
         t = self.clock_s()
         self.hub.publish(Released(t, 3, outcome is Outcome.PLACED, margin, None))
         reason = "The piece stands, 1.6 mm inside its support."
-        self.hub.publish(TrialFinished(t, 0, 7, outcome, reason, 3, 0, margin))
+        self.hub.publish(TrialFinished(t, self._trial, 7, outcome, reason, 3, 0, margin))
 
     def tell_finish(self):
         """Announce the end of the run."""

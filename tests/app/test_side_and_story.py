@@ -4,23 +4,32 @@ import numpy as np
 import pytest
 
 from app.run_story import RunStory
-from app.side import SidePresenter, tilt_about_y
-from backend.core.facts import Released, RunStarted, StabilityJudged, TrialStarted
+from app.side import HOLD_S, SidePresenter
+from backend.core.facts import PhaseEntered, Released, RunStarted, StabilityJudged, TrialStarted
 from backend.core.flow import Fall
 from tests.app.conftest import settle
 from tests.app.stand_in import stability
 from widgets.panel import Panel
-from widgets.side_view import SideView
+from widgets.side_view import UPRIGHT, SideBody, SideView
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, -1.2, 1.57, 2.5])
-def test_tilt_of_a_turn_about_y(angle):
-    turn = np.array([np.cos(angle / 2), 0.0, np.sin(angle / 2), 0.0])
-    assert tilt_about_y(turn) == pytest.approx(angle)
+def test_a_turned_body_shows_the_sides_that_a_turned_rectangle_has(angle):
+    """Seen along y a cylinder is a rectangle; turned about y it is that rectangle turned."""
+    turn = (np.cos(angle / 2), 0.0, np.sin(angle / 2), 0.0)
+    above, foot = SideBody("pot", 7.5, 15.0, 38.0, 4.0, -2.0, turn).outlines_mm()
+    cos, sin = np.cos(angle), np.sin(angle)
+    for part, half, low, high in ((foot, 7.5, 0.0, 6.0), (above, 15.0, 6.0, 38.0)):
+        corners = np.array([(x, z) for x in (-half, half) for z in (low, high)])
+        turned = corners @ np.array([[cos, -sin], [sin, cos]]) + (4.0, -2.0)
+        assert part.max(axis=0) == pytest.approx(turned.max(axis=0), abs=1e-4)
+        assert part.min(axis=0) == pytest.approx(turned.min(axis=0), abs=1e-4)
 
 
-def test_a_turn_about_the_vertical_is_no_tilt():
-    assert tilt_about_y(np.array([np.cos(0.4), 0.0, 0.0, np.sin(0.4)])) == pytest.approx(0.0)
+def test_a_fall_towards_the_viewer_shows_the_round_end():
+    turn = (np.cos(np.pi / 4), np.sin(np.pi / 4), 0.0, 0.0)
+    above, _ = SideBody("pot", 7.5, 15.0, 38.0, 0.0, 0.0, turn).outlines_mm()
+    assert np.hypot(*above.T) == pytest.approx(15.0, abs=1e-4)
 
 
 def fall():
@@ -46,21 +55,69 @@ def test_the_piece_follows_its_recorded_fall(bench, qtbot):
     side.take(RunStarted(0.0, "r", "pot", "short", "paper", 7, 1, True, "{}"))
     side.take(TrialStarted(0.0, 1, 7, None))
     _draw(side)
-    assert view.scene.jaws_mm is not None
+    assert view.scene.hand_mm is not None
     side.take(Released(1.0, 1, False, -2.0, fall()))
     now_s[0] += 0.5
     _draw(side)
     piece = view.scene.piece
-    assert view.scene.jaws_mm is None
     assert piece.x_mm == pytest.approx(9.0, abs=0.01)
     assert piece.z_mm == pytest.approx(-10.0, abs=0.01)
-    assert piece.tilt_rad == pytest.approx(0.75, abs=1e-3)
-    now_s[0] += 60.0
-    _draw(side)
-    assert view.scene.piece.tilt_rad == pytest.approx(1.5, abs=1e-3)
+    assert 2 * np.arctan2(piece.turn[2], piece.turn[0]) == pytest.approx(0.75, abs=1e-3)
+    assert view.scene.span_mm[1] > 14.0 + 30.0, "all of the fallen piece is in the picture"
     side.take(TrialStarted(0.0, 2, 8, None))
+    now_s[0] += HOLD_S - 0.6
     _draw(side)
-    assert view.scene.piece.tilt_rad == 0.0
+    assert view.scene.piece.turn[2] == pytest.approx(np.sin(0.75), abs=1e-3)
+    assert view.scene.hand_mm is None, "the hand belongs to the next trial"
+    assert panel.detail.text() == "trial 1: fell"
+    now_s[0] += 0.2
+    _draw(side)
+    assert view.scene.piece.turn == UPRIGHT
+    assert view.scene.hand_mm is not None
+
+
+def test_the_piece_stays_on_its_support_while_the_hand_rises(bench, qtbot):
+    view = SideView(_theme())
+    panel = Panel("side", view)
+    qtbot.addWidget(panel)
+    panel.show()
+    qtbot.waitExposed(panel)
+    side = SidePresenter(bench, view, panel, lambda: 5.0)
+    side.take(RunStarted(0.0, "r", "pot", "short", "paper", 7, 1, True, "{}"))
+    side.take(TrialStarted(0.0, 1, 7, None))
+    bench.press = 1.0
+    bench.turn(0.04)
+    side.take(PhaseEntered(0.0, "rise", 1))
+    bench.press = 0.0
+    bench.turn(0.04)
+    _draw(side)
+    assert (view.scene.piece.x_mm, view.scene.piece.z_mm) == (2.5, 0.0)
+    assert view.scene.hand_mm == (4.0, 27.0)
+    assert panel.detail.text() == "let go"
+    side.take(Released(1.0, 1, True, 2.0, None))
+    _draw(side)
+    assert (view.scene.piece.x_mm, view.scene.piece.z_mm) == (2.5, 0.0)
+    assert panel.detail.text() == "trial 1: stands"
+
+
+def test_nothing_fallen_is_drawn_below_the_table(bench, qtbot):
+    view = SideView(_theme())
+    panel = Panel("side", view)
+    qtbot.addWidget(panel)
+    panel.show()
+    qtbot.waitExposed(panel)
+    now_s = [0.0]
+    side = SidePresenter(bench, view, panel, lambda: now_s[0])
+    bench.turn(0.04)
+    side.take(RunStarted(0.0, "r", "pot", "short", "paper", 7, 1, True, "{}"))
+    side.take(TrialStarted(0.0, 1, 7, None))
+    pose = np.array([[[0.05, 0.0, -0.1, np.cos(np.pi / 4), 0.0, np.sin(np.pi / 4), 0.0]]])
+    side.take(Released(1.0, 1, False, -2.0, Fall(np.zeros(1), pose, ("pot",))))
+    now_s[0] += 0.1
+    _draw(side)
+    lowest = min(part[:, 1].min() for part in view.scene.piece.outlines_mm())
+    assert lowest == pytest.approx(view.scene.table_mm, abs=1e-3)
+    assert view.scene.table_mm < -20.0
 
 
 def _draw(side):

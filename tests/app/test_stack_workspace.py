@@ -112,13 +112,28 @@ def test_a_trial_without_a_verdict_still_says_how_it_ended(live, bench):
     bench.tell_start()
     bench.tell_end(Outcome.FELL, -2.0)
     settle(live)
-    assert live.page.decision._verdict.text().endswith("Fell")
+    assert live.page.decision._verdict.text().endswith("Trial 1 fell")
     assert live.page.decision._margin.text() == "\N{MINUS SIGN}2.0 mm"
 
 
-def test_a_new_trial_empties_the_map(live, bench):
+def test_an_outcome_stays_until_the_next_trial_has_a_map(live, bench):
     told(live, bench, Outcome.PLACED)
     bench.tell_trial(2)
+    settle(live)
+    assert live.page.belief.scene.truth is not None
+    assert live.page.decision._verdict.text().endswith("Trial 1 placed")
+    assert live.page.decision._caption.text() == "true margin"
+    bench.tell_probe(1, (5.0, 1.0), -2.0)
+    settle(live)
+    assert live.page.belief.scene.truth is None
+    assert live.page.belief.scene.path == ((5.0, 1.0),)
+    assert live.page.decision._verdict.text().endswith("Would fall")
+    assert live.page.decision._caption.text() == "margin"
+
+
+def test_a_new_run_empties_the_map(live, bench):
+    told(live, bench, Outcome.PLACED)
+    bench.tell_start()
     settle(live)
     assert live.page.belief.scene.belief is None
     assert live.page.strip.thumbnails == []

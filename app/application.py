@@ -344,13 +344,18 @@ class TouchdownApp(QObject):
     def _draw_rest(self) -> None:
         if self._link is None or self.live is None or self.stack is None or self._side is None:
             return
-        if self.live.draw_chips() and self.inspect is not None:
-            self.inspect.draw()
+        if self.live.draw_chips():
+            self._draw_figures()
         self.stack.draw()
         self._side.draw()
         self.bar.pill.show_state(pill_of(self._link))
-        pace = self._link.pace
-        self.window.show_right(f"{pace:.2f}\N{MULTIPLICATION SIGN} real time" if pace else "")
+
+    def _draw_figures(self) -> None:
+        """Draw what changes all the time but is read now and then."""
+        if self.inspect is not None:
+            self.inspect.draw()
+        pace = f"{self.pace:.2f}\N{MULTIPLICATION SIGN} real time" if self.pace else ""
+        self.window.show_right(pace)
 
 
 def _stay() -> None:

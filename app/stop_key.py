@@ -24,9 +24,10 @@ class StopKey(QObject):
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         """Take F12 and, while something moves, Space."""
-        if event.type() is not QEvent.Type.KeyPress or not isinstance(watched, QWindow):
+        # Every event of the window passes here: the cheapest test comes first.
+        if not isinstance(event, QKeyEvent) or not isinstance(watched, QWindow):
             return False
-        if not isinstance(event, QKeyEvent) or not self._wanted(event.key()):
+        if event.type() is not QEvent.Type.KeyPress or not self._wanted(event.key()):
             return False
         if not event.isAutoRepeat():
             self._stop()

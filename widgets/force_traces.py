@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QPainter, QPaintEvent, QPen, QPixmap, QPolygonF, QResizeEvent
@@ -197,9 +199,13 @@ def _polylines(
 ) -> list[QPolygonF]:
     """One polyline per stretch without a gap; each bucket gives its low and its high point."""
     good = np.isfinite(low)
-    edges = np.flatnonzero(np.diff(good.astype(np.int8), prepend=0, append=0))
+    if good.all():
+        stretches = [[0, len(good)]]
+    else:
+        edges = np.flatnonzero(np.diff(good.astype(np.int8), prepend=0, append=0))
+        stretches = edges.reshape(-1, 2).tolist()
     lines = []
-    for start, end in edges.reshape(-1, 2).tolist():
+    for start, end in stretches:
         y = np.stack([low[start:end], high[start:end]], axis=1).ravel()
         y = np.clip(y, 2 * area.y0, 2 * area.y1)
         lines.append(area.polygon(np.repeat(age_s[start:end], 2), y))
@@ -208,8 +214,9 @@ def _polylines(
 
 def spread(wanted: list[float], gap: float, low: float, high: float) -> list[float]:
     """Move labels apart so that neighbours are ``gap`` away and all stay within [low, high]."""
-    order = sorted(range(len(wanted)), key=lambda i: np.nan_to_num(wanted[i], nan=low))
-    placed = [min(max(float(np.nan_to_num(wanted[i], nan=low)), low), high) for i in order]
+    known = [low if math.isnan(y) else min(max(y, low), high) for y in wanted]
+    order = sorted(range(len(wanted)), key=known.__getitem__)
+    placed = [known[i] for i in order]
     for k in range(1, len(placed)):
         placed[k] = max(placed[k], placed[k - 1] + gap)
     overshoot = placed[-1] - high

@@ -36,8 +36,10 @@ class SideBody:
     z_mm: float
     turn: Quaternion = UPRIGHT
 
-    def outlines_mm(self) -> tuple[FloatArray, FloatArray]:
-        """Return what is seen of the foot and of the part above: two convex (k, 2) outlines."""
+    def outlines_mm(self) -> tuple[FloatArray, ...]:
+        """Return what is seen of the part above and of the foot, as convex (k, 2) outlines."""
+        if self.top_mm == self.face_mm:
+            return (self._seen(self.face_mm, 0.0, self.height_mm),)
         foot = min(0.2 * self.height_mm, 6.0)
         return (self._seen(self.top_mm, foot, self.height_mm), self._seen(self.face_mm, 0.0, foot))
 

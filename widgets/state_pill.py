@@ -10,6 +10,7 @@ from PySide6.QtGui import (
     QAccessible,
     QAccessibleAnnouncementEvent,
     QColor,
+    QFontMetrics,
     QPainter,
     QPaintEvent,
     QPen,
@@ -60,12 +61,11 @@ class StatePill(QWidget):
 
     def sizeHint(self) -> QSize:
         """Return room for the longest usual word, so that the bar does not jump."""
-        self.setFont(ui_font(self._theme.scale, 1.0, 600))
-        metrics = self.fontMetrics()
-        width = max(metrics.horizontalAdvance(w) for w in (self.state.word, "CANCELLING"))
-        self.setFont(ui_font(self._theme.scale, 0.78))
-        width = max(width, self.fontMetrics().horizontalAdvance("simulated, reference"))
-        return QSize(width + 52, 2 * metrics.height() + 6)
+        word = QFontMetrics(ui_font(self._theme.scale, 1.0, 600))
+        note = QFontMetrics(ui_font(self._theme.scale, 0.78))
+        width = max(word.horizontalAdvance(w) for w in (self.state.word, "CANCELLING"))
+        width = max(width, note.horizontalAdvance("simulated, reference"))
+        return QSize(width + 52, 2 * note.height() + 8)
 
     def paintEvent(self, _event: QPaintEvent) -> None:
         """Draw box, shape and word."""

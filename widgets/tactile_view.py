@@ -14,6 +14,7 @@ from PySide6.QtGui import (
     QPainter,
     QPaintEvent,
     QPen,
+    QPixmap,
     QResizeEvent,
 )
 from PySide6.QtWidgets import QSizePolicy, QWidget
@@ -39,6 +40,8 @@ class TactileView(QWidget):
         self._frame: TactileFrame | None = None
         self._field: MarkerField | None = None
         self._age, self._age_s, self._reason = Age.NEVER, 0.0, ""
+        self._legend: QPixmap | None = None
+        self._legend_key = (0.0, 0.0, 0.0)
         self.paints = 0
         self.setAccessibleName(f"Tactile image, {finger} finger")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
@@ -102,10 +105,19 @@ class TactileView(QWidget):
         scale = target.width() / IMAGE_W
         if self._field is not None:
             _draw_markers(painter, self._field, scale)
-        _draw_legend(painter, target, scale, ui_font(self._theme.scale, 0.85))
         painter.restore()
+        self._draw_legend(painter, target)
         if self._age is Age.STALE:
             draw_stale(painter, target, self._theme, self._age_s)
+
+    def _draw_legend(self, painter: QPainter, target: QRectF) -> None:
+        key = (target.width(), self._theme.scale, self.devicePixelRatioF())
+        if self._legend is None or key != self._legend_key:
+            font = ui_font(self._theme.scale, 0.85)
+            self._legend, self._legend_key = _legend(target.width(), font, key[2]), key
+        size = self._legend.deviceIndependentSize()
+        at = target.bottomRight() - QPointF(size.width() + 4, size.height() + 4)
+        painter.drawPixmap(at, self._legend)
 
     def _target(self) -> QRectF:
         scale = min(self.width() / IMAGE_W, self.height() / IMAGE_H)
@@ -155,21 +167,25 @@ def _lines(strokes: FloatArray) -> list[QLineF]:
     return [QLineF(*line) for line in strokes.reshape(-1, 4).tolist()]
 
 
-def _draw_legend(painter: QPainter, target: QRectF, scale: float, font: QFont) -> None:
-    length = arrows.GAIN / arrows.MM_PER_PX
-    end = np.array([[(target.width() - 12) / scale, (target.height() - 12) / scale]])
-    start = end - np.array([[length, 0.0]])
-    text = QFontMetrics(font).horizontalAdvance("1 mm") + 14
-    high = max(QFontMetrics(font).height() + 6, 22)
-    end[0, 1] = start[0, 1] = (target.height() - high / 2 - 4) / scale
-    box = QRectF(start[0, 0] * scale - text, end[0, 1] * scale - high / 2,
-                 length * scale + text + 8, high)  # fmt: skip
-    painter.fillRect(box, QColor(0, 0, 0, 150))
-    painter.setPen(QPen(QColor("#FFFFFF"), 2))
-    stroke = arrows.segments(start, (end - start) / arrows.GAIN) * scale
-    painter.drawLines(_lines(stroke))
-    painter.setFont(font)
-    painter.drawText(
-        box.adjusted(6, 0, 0, 0), int(Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignLeft),
-        "1 mm",
-    )  # fmt: skip
+def _legend(width_px: float, font: QFont, ratio: float) -> QPixmap:
+    """Draw the arrow of 1 mm and its name for an image of this width."""
+    scale = width_px / IMAGE_W
+    length = arrows.GAIN / arrows.MM_PER_PX * scale
+    metrics = QFontMetrics(font)
+    text, high = metrics.horizontalAdvance("1 mm") + 14, max(metrics.height() + 6, 22)
+    size = QSize(round(length) + text + 8, high)
+    drawn = QPixmap(size * ratio)
+    drawn.setDevicePixelRatio(ratio)
+    drawn.fill(QColor(0, 0, 0, 150))
+    painter = QPainter(drawn)
+    try:
+        painter.setPen(QPen(QColor("#FFFFFF"), 2))
+        start = np.array([[text, high / 2]]) / scale
+        stroke = np.array([[length, 0.0]]) / scale / arrows.GAIN
+        painter.drawLines(_lines(arrows.segments(start, stroke) * scale))
+        painter.setFont(font)
+        flags = Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignLeft
+        painter.drawText(QRectF(6, 0, size.width(), high), int(flags), "1 mm")
+    finally:
+        painter.end()
+    return drawn

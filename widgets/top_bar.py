@@ -49,6 +49,7 @@ class TopBar(QFrame):
             "Space while something moves. This is not the robot's emergency stop."
         )
         self.stop.pressed.connect(on_stop)
+        self._least_px = 0
         self._arrange()
 
     def _arrange(self) -> None:
@@ -76,7 +77,7 @@ class TopBar(QFrame):
 
     def minimumSizeHint(self) -> QSize:
         """Return the width without the chips: those go to a second row where there is no room."""
-        return QSize(self._needed(()), super().minimumSizeHint().height())
+        return QSize(self._least_px, super().minimumSizeHint().height())
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Show as much of the chips as there is room for."""
@@ -105,6 +106,7 @@ class TopBar(QFrame):
             self._row.removeWidget(self._devices)
             self._second.addWidget(self._devices)
             self._second.addStretch(1)
+        self._least_px = self._needed(())
         self.updateGeometry()
 
     def _needed(self, chips: tuple[DeviceChip, ...]) -> int:
@@ -115,9 +117,11 @@ class TopBar(QFrame):
 
     def show_modes(self, robot: str, safety: str) -> None:
         """Show both status words of the arm."""
-        self._robot.setText(f"Robot: {robot}")
-        self._safety.setText(f"Safety: {safety}")
-        self.fit()
+        texts = (f"Robot: {robot}", f"Safety: {safety}")
+        if texts != (self._robot.text(), self._safety.text()):
+            self._robot.setText(texts[0])
+            self._safety.setText(texts[1])
+            self.fit()
 
     def show_hardware_stop(self, text: str) -> None:
         """Show what the controller says of the hardware emergency stop; unknown is unknown."""

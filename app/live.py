@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from app.link import Link
 from app.stack_page import StackPage
-from backend.core.flow import FINGERS, Finger
+from backend.core.flow import FINGERS, Finger, MarkerField, TactileFrame
 from backend.devices.protocols import Arm, Device, DeviceState
 from widgets.device_chip import ChipState, ChipValue
 from widgets.freshness import Age, Freshness
@@ -35,6 +35,7 @@ class LivePresenter:
         self._wrench_cursor = 0
         self._first_s = float("nan")
         self._chips_s = float("-inf")
+        self._frame_cursor = dict.fromkeys(FINGERS, 0)
         self.frames_shown = dict.fromkeys(FINGERS, 0)
 
     def draw_left(self) -> None:
@@ -50,11 +51,21 @@ class LivePresenter:
         if not view.isVisible():
             return
         fresh, now_s = self._fresh[finger], self._now_s()
-        frame = stream.newest()
-        if frame is not None and fresh.note(stream.count, now_s):
-            view.show_frame(frame, self._link.fields[finger].newest())
+        fresh.note(stream.count, now_s)
+        frames, cursor, _ = stream.since(self._frame_cursor[finger])
+        if frames:
+            # Two at once are a late one and a punctual one: both are shown, one tick apart.
+            frame = frames[0] if len(frames) == 2 else frames[-1]
+            self._frame_cursor[finger] = cursor - (len(frames) == 2)
+            view.show_frame(frame, self._field_of(finger, frame))
             self.frames_shown[finger] += 1
         view.show_age(fresh.judge(now_s), fresh.age_s(now_s), self._why_silent(finger))
+
+    def _field_of(self, finger: Finger, frame: TactileFrame) -> MarkerField | None:
+        """Return the field that was tracked in this frame, else the newest one."""
+        stream = self._link.fields[finger]
+        same = stream.between(frame.t_s, frame.t_s)
+        return same[-1] if same else stream.newest()
 
     def draw_wrench(self) -> None:
         """Feed the traces."""

@@ -52,8 +52,8 @@ bench: setup ## every promised figure next to its target
 screens: setup ## rewrite the screenshots in docs/img
 	@mkdir -p docs/img
 	@for theme in dark light; do \
-	    QT_QPA_PLATFORM=offscreen $(BIN)/touchdown app --theme $$theme --size 1600x1000 \
-	        --grab docs/img/stack-$$theme.png --after 20; \
+	    QT_QPA_PLATFORM=offscreen $(BIN)/touchdown app --theme $$theme --size 1600x940 \
+	        --grab docs/img/stack-$$theme.png --after 13; \
 	done
 
 models: setup ## make the models that ship, from nothing (the longest target: about 50 min)

@@ -67,7 +67,10 @@ class PhaseEntered(Fact):
 
 @dataclass(frozen=True, slots=True)
 class EpisodeRecorded(Fact):
-    """A probe became an episode; ``path`` of its file ("" if it is not kept)."""
+    """A probe became an episode; ``path``: name of its file ("" if it is not kept).
+
+    The episode comes without its recording: the native-rate signals are in the file.
+    """
 
     episode: Episode
     probe: int

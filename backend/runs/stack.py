@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from backend.core.facts import (
     ActionChosen,
     ApprovalAwaited,
@@ -102,7 +104,7 @@ def _asked(bench: Bench, judged: Judged) -> Plan[bool]:
 
 
 def _recorded(bench: Bench, felt: Felt) -> EpisodeRecorded:
+    """Announce the episode without its native-rate signals: 25 MB that live in its file."""
     path = bench.store.settle()
-    return EpisodeRecorded(
-        bench.now_s(), felt.episode, felt.probe, "" if path is None else path.name
-    )
+    episode = replace(felt.episode, recording=None)
+    return EpisodeRecorded(bench.now_s(), episode, felt.probe, "" if path is None else path.name)

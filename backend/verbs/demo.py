@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
-from backend.core.facts import Fact, TrialFinished
+from backend.core.facts import EpisodeRecorded, Fact, TrialFinished
 from backend.core.flow import Outcome
 from backend.runs.requests import StackRequest
 from backend.verbs.screen import Screen
@@ -32,7 +33,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     out = Path(args.out)
     runs: list[list[Fact]] = []
     session = simulated_session(SimulatedBenchChoice(), keep=Keep(out / "runs"))
-    session.hub.subscribe(lambda fact: runs[-1].append(fact))
+    session.hub.subscribe(lambda fact: runs[-1].append(_with_signals(fact, session.run_folder)))
     session.hub.subscribe(lambda fact: narrate(fact, screen))
     try:
         for piece, bottom in SHOWN:
@@ -50,3 +51,12 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     placed = sum(end.outcome is Outcome.PLACED for end in ends)
     screen.result({"version": 1, "placed": placed, "trials": len(SHOWN), "report": str(report)})
     return 0 if placed == len(SHOWN) else 1
+
+
+def _with_signals(fact: Fact, folder: Path | None) -> Fact:
+    """Return ``fact`` with the signals of its episode read back, where it tells of one."""
+    from backend.dataset.episode_reading import read_episode
+
+    if not isinstance(fact, EpisodeRecorded) or folder is None or not fact.path:
+        return fact
+    return replace(fact, episode=read_episode(folder / "episodes" / fact.path))

@@ -197,9 +197,10 @@ class StackPresenter:
         mark = "\N{CHECK MARK}" if placed else "\N{MULTIPLICATION X}"
         margin = "" if done.margin_mm is None else signed_mm(done.margin_mm)
         head = self.story.head
-        which = f"Trial {done.trial} " if head is not None and head.trials > 1 else "The piece "
+        word = WORDS[done.outcome]
+        several = head is not None and head.trials > 1
         return DecisionText(
-            f"{mark} {which}{WORDS[done.outcome]}",
+            f"{mark} Trial {done.trial} {word}" if several else f"{mark} {word.capitalize()}",
             "good" if placed else "bad",
             margin,
             done.reason,

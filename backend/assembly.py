@@ -150,6 +150,8 @@ def make_scene(
     catalogue: Catalogue, request: StackRequest, seed: int, settings: SimulationSettings
 ) -> Scene:
     """Return the scene of one trial: everything about it follows from ``seed``."""
+    if seed < 0:
+        raise InputError(f"The seed {seed} is negative.", "--seed", "Give 0 or a positive number.")
     piece = catalogue.top(request.piece)
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 77])))
     tower = make_tower(catalogue, request.bottoms, rng)

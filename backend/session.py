@@ -19,7 +19,7 @@ from typing import Protocol
 
 from backend.config.method import StackSettings
 from backend.core.facts import Fact, FaultsReset
-from backend.core.faults import Fault, RefusedError
+from backend.core.faults import Fault, InputError, RefusedError
 from backend.core.flow import FINGERS, Finger, MarkerField, TactileFrame
 from backend.core.hub import Hub
 from backend.core.stream import SampleStream, Stream
@@ -280,7 +280,7 @@ class Session:
         folder = None if self._keep.runs is None else self._keep.runs / run_id
         episodes = None
         if folder is not None:
-            self._journal = Journal(folder)
+            self._journal = _new_journal(folder)
             self._leave = self.hub.subscribe(self._record)
             episodes = folder / "episodes" if self._keep.episodes else None
         self.run_folder = folder
@@ -300,7 +300,7 @@ class Session:
                 Fault(
                     "JOURNAL-FAILED",
                     f"The run journal cannot be written: {error.strerror or error}.",
-                    "The run ends; every fact up to here is on disk, the piece is still held.",
+                    "The run ends; every fact up to here is on disk, the gripper was not opened.",
                     f"Make room on the disk of {journal.folder}, then press Reset.",
                     "store",
                 )
@@ -315,3 +315,15 @@ class Session:
         if self._store is not None:
             self._store.close()
         self._leave = self._journal = self._store = None
+
+
+def _new_journal(folder: Path) -> Journal:
+    """Begin the journal of a run; raises ``InputError`` where the folder cannot be written."""
+    try:
+        return Journal(folder)
+    except OSError as error:
+        raise InputError(
+            f"The run cannot be kept: {error.strerror or error}.",
+            str(folder.parent),
+            "Name a folder that can be written (--runs, or TOUCHDOWN_DATA).",
+        ) from error

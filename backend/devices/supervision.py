@@ -17,7 +17,7 @@ from backend.devices.interlock import Interlock
 
 GRACE_S = 1.0
 """After a scene begins the sensors get this long to deliver their first samples."""
-_KEPT = "Motion stopped; the piece is still held."
+_KEPT = "Motion stopped; the gripper was not opened."
 _LOOK = "Check the device and its cable, then press Reset."
 
 

@@ -34,6 +34,12 @@ table{border-collapse:collapse}td,th{text-align:left}
 td,th{padding:.2em .9em;border-bottom:1px solid #C9D0D7}
 """
 
+_LEGEND = (
+    "Belief maps, 40 mm wide: yellow is support, blue is none, grey is unknown. Double line: hull "
+    "of support above 90 %. Cross: centre of mass and planned step. Dashed: the true support, "
+    "drawn after the fact. Below: forces of the press, and both tactile images at its end."
+)
+
 
 @dataclass
 class _Trial:
@@ -67,6 +73,7 @@ def write_report(
     body = (
         f"<h1>Touchdown: {placed} of {len(rows)} placed</h1>"
         '<p class="banner">SIMULATED BENCH: no robot moved for these figures</p>'
+        f"<p>{_LEGEND}</p>"
         "<table><tr><th>piece</th><th>on</th><th>seed</th><th>outcome</th><th>probes</th>"
         f"<th>true margin</th></tr>{''.join(rows)}</table>{''.join(sections)}"
     )

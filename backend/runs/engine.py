@@ -104,7 +104,7 @@ class Engine:
         fault = Fault(
             "BENCH-DIED",
             f"The bench thread ended: {type(error).__name__}: {error}.",
-            "Nothing moves any more; the piece is still held.",
+            "Nothing moves any more; the gripper was not opened.",
             "Copy the details for the maintainers, then start Touchdown again.",
         )
         self._fail(FaultError(fault))
@@ -258,6 +258,6 @@ def _fault_of(error: Exception) -> Fault:
     return Fault(
         code=error.reason if isinstance(error, RefusedError) else type(error).__name__.upper(),
         what=str(error) or type(error).__name__,
-        consequence="The run ended; the piece is still held.",
+        consequence="The run ended; the gripper was not opened.",
         next_step="Read the message, remove the cause, then press Reset.",
     )

@@ -66,7 +66,7 @@ def _no_reference(cause: RefusedError) -> Fault:
     return Fault(
         "NO-REFERENCE",
         f"No tactile reference within {REFERENCE_S:.0f} s: {cause.detail}",
-        "No probe was started; the piece is still held.",
+        "No probe was started; the gripper was not opened.",
         "Look at the tactile images, then press Reset.",
         "tactile",
     )

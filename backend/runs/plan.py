@@ -54,7 +54,7 @@ def timeout_fault(waiting: Waiting) -> FaultError:
         Fault(
             code="TIMEOUT",
             what=f"Waited {waiting.timeout_s:.1f} s in vain for {waiting.what}.",
-            consequence="The run ended; the piece is still held.",
+            consequence="The run ended; the gripper was not opened.",
             next_step="Look at the device chips, then press Reset.",
         )
     )

@@ -51,7 +51,7 @@ def press_once(bench: Bench, probe: int) -> Plan[Felt]:
             Fault(
                 "NO-CONTACT",
                 "The press ended without a contact.",
-                "The probe is void; the piece is still held.",
+                "The probe is void; the gripper was not opened.",
                 "Check the height of the support.",
                 "arm",
             )
@@ -88,7 +88,7 @@ def probe_until_accepted(bench: Bench, probe: int, tries: int = 2) -> Plan[Felt]
                 Fault(
                     "PROBE-REJECTED",
                     f"Probe {probe} was rejected {tries} times: {reasons}.",
-                    "The run ended; the piece is still held and lifted.",
+                    "The run ended; the gripper stays closed, the arm is lifted.",
                     "Check the named sensor, then press Reset.",
                 )
             )

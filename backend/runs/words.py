@@ -23,7 +23,8 @@ def support(stability: Stability) -> str:
     """Say what supports the piece, and the verdict."""
     if stability.support is SupportKind.AREA:
         verdict = "stable" if stability.stable else "not stable"
-        return f"Verdict: {verdict}, margin {stability.margin_mm:+.1f} mm."
+        digits = 1 if abs(stability.margin_mm) >= 0.1 else 2
+        return f"Verdict: {verdict}, margin {stability.margin_mm:+.{digits}f} mm."
     return f"Verdict: not stable, {stability.support.value}."
 
 

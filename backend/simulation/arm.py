@@ -18,7 +18,7 @@ from backend.core.flow import FloatArray
 from backend.core.onset import OnsetDetector, OnsetRule
 
 ACCELERATION_MM_S2 = 500.0
-_HELD = "The arm stands still; the piece is still held."
+_HELD = "The arm stands still; the gripper was not opened."
 
 
 @dataclass(frozen=True, slots=True)

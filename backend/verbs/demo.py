@@ -48,6 +48,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     ends = [fact for facts in runs for fact in facts if isinstance(fact, TrialFinished)]
     screen.show(trial_table(ends))
     screen.say(f"Report: {report}")
+    screen.say(f"Play it again: touchdown replay latest --runs {out / 'runs'}")
     placed = sum(end.outcome is Outcome.PLACED for end in ends)
     screen.result({"version": 1, "placed": placed, "trials": len(SHOWN), "report": str(report)})
     return 0 if placed == len(SHOWN) else 1

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 
 from rich.table import Table
 
@@ -43,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FAULT",
         help="scripted disturbance such as tactile_left:stop@3.0 (may be given several times)",
     )
+    parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
     parser.add_argument("--runs", metavar="DIR", help="folder for runs (default: data folder)")
     parser.add_argument("--no-episodes", action="store_true", help="keep the journal only")
 
@@ -68,6 +74,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         file=Path(args.bench) if args.bench else None,
         preset=args.preset,
         disturbances=tuple(args.inject),
+        pieces=Path(args.pieces) if args.pieces else None,
     )
     session = simulated_session(choice, keep=Keep(runs, episodes=not args.no_episodes))
     trials: list[TrialFinished] = []
@@ -75,7 +82,8 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     session.hub.subscribe(lambda fact: _follow(fact, trials, faults))
     session.hub.subscribe(lambda fact: narrate(fact, screen))
     try:
-        session.run(request)
+        with _ctrl_c_cancels(session.engine.cancel):
+            session.run(request)
     finally:
         session.close()
     screen.show(trial_table(trials))
@@ -84,6 +92,24 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     screen.result(_result(args, trials, faults, session.run_folder))
     placed = [t for t in trials if t.outcome is Outcome.PLACED]
     return 0 if len(placed) == request.trials else 1
+
+
+@contextmanager
+def _ctrl_c_cancels(cancel: Callable[[], None]) -> Iterator[None]:
+    """Let the first Ctrl-C end the run in an orderly way; the second one interrupts."""
+
+    def once(_signal: int, _frame: FrameType | None) -> None:
+        signal.signal(signal.SIGINT, before)
+        cancel()
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, once)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _follow(fact: Fact, trials: list[TrialFinished], faults: list[FaultRaised]) -> None:

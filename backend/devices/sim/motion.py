@@ -63,7 +63,7 @@ def stopped_fault(device: str) -> Fault:
     return Fault(
         "STOPPED",
         "The motion was stopped.",
-        "The device stands still; the piece is still held.",
+        "The device stands still; the gripper was not opened.",
         "Look at the bench, then press Reset.",
         device,
     )

@@ -71,6 +71,8 @@ def test_the_shipped_model_is_the_one_recorded(
         (("--preset", "easy"), "preset"),
         (("--inject", "camera"), "camera"),
         (("--trials", "0"), "--trials"),
+        (("--seed", "-1"), "--seed"),
+        (("--pieces", "no/such/folder"), "no/such/folder"),
     ],
 )
 def test_bad_input_is_one_error_and_leaves_nothing_behind(
@@ -110,3 +112,48 @@ def test_a_run_killed_in_the_middle_replays_to_its_last_fact(
     lines = [json.loads(line) for line in (folder / NAME).read_bytes().splitlines()[1:]]
     told_ids = {f["episode"]["episode_id"] for f in lines if f["kind"] == "EpisodeRecorded"}
     assert told_ids <= kept
+
+
+def test_a_runs_folder_that_cannot_be_written_is_bad_input(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    occupied = tmp_path / "file"
+    occupied.write_text("not a folder")
+    status, out, err = call(capsys, "stack", "--runs", str(occupied))
+    assert status == 2
+    assert out == ""
+    assert str(occupied) in json.loads(err)["error"]["where"]
+
+
+def test_ctrl_c_lifts_tells_the_result_and_closes_the_journal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = tmp_path / "runs"
+    command = [sys.executable, "-m", "backend", "stack", "--trials", "50", "--runs", str(runs)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=os.environ) as child:
+        assert child.stdout is not None
+        for line in child.stdout:
+            if b"Probe 1" in line:
+                break
+        child.send_signal(signal.SIGINT)
+        rest = child.stdout.read().decode()
+        status = child.wait(20)
+    assert status == 1
+    assert "aborted" in rest
+    assert "Kept in" in rest
+    told = json.loads(call(capsys, "replay", "latest", "--runs", str(runs))[1])
+    assert told["ending"] == "cancelled"
+    assert told["trials"][-1]["outcome"] == "aborted"
+
+
+def test_an_operators_own_piece_can_be_stacked_upon(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shipped = Path(__file__).parents[3] / "resources" / "objects" / "short.toml"
+    folder = tmp_path / "pieces"
+    folder.mkdir()
+    (folder / "mystub.toml").write_text(shipped.read_text("utf-8"), "utf-8")
+    words = ("--pieces", str(folder), "--bottom", "mystub", "--strategy", "pick-and-place")
+    status, out, _ = call(capsys, "stack", *words, "--runs", str(tmp_path / "runs"))
+    assert status == 1
+    assert json.loads(out)["trials"][0]["outcome"] == "fell"

@@ -5,7 +5,10 @@ from __future__ import annotations
 from datetime import datetime
 from pathlib import Path
 
+from PySide6.QtCore import QTimer
+
 from app.review_page import ReviewPage
+from app.run_lines import read_run_line
 from app.run_story import RunStory, TrialStory, scene_of
 from app.tally import wilson
 from backend.core.facts import Said, TrialFinished
@@ -19,6 +22,8 @@ from widgets.fault_cards import CardText, FaultCards
 from widgets.score_panel import WORDS, Score
 
 MOST_RUNS = 200
+MOST_DESCRIBED = 50
+"""So many of the newest runs say in the list what they were; older ones once they are opened."""
 
 
 class ReviewPresenter:
@@ -31,6 +36,11 @@ class ReviewPresenter:
         self.story = RunStory()
         self._lines: list[tuple[int, str]] = []
         self._probe = 0
+        self._described: dict[Path, int] = {}
+        self._to_describe: list[int] = []
+        self._describing = QTimer(page)
+        self._describing.setInterval(0)
+        self._describing.timeout.connect(self._describe_next)
         page.refresh.clicked.connect(self.refresh)
         page.runs.currentRowChanged.connect(self._choose_run)
         page.trials.currentRowChanged.connect(self._choose_trial)
@@ -42,14 +52,17 @@ class ReviewPresenter:
         found = sorted(found, key=lambda p: p.name, reverse=True)[:MOST_RUNS]
         self._page.empty.setVisible(not found)
         self._page.empty.setText("No recordings yet. Every run of the Stack workspace is kept.")
-        if found == self._folders:
-            return
-        self._folders = found
-        self._page.runs.blockSignals(True)
-        self._page.runs.clear()
-        self._page.runs.addItems([run_title(folder.name) for folder in found])
-        self._page.runs.setCurrentRow(-1)
-        self._page.runs.blockSignals(False)
+        if found != self._folders:
+            self._folders = found
+            self._described.clear()
+            self._page.runs.blockSignals(True)
+            self._page.runs.clear()
+            self._page.runs.addItems([run_title(folder.name) for folder in found])
+            self._page.runs.setCurrentRow(-1)
+            self._page.runs.blockSignals(False)
+        # One run per turn of the event loop: a long list does not hold up the live views.
+        self._to_describe = list(range(min(len(found), MOST_DESCRIBED)))
+        self._describing.start()
 
     def open(self, run: Path) -> bool:
         """Read a run and show its last trial; a bad journal becomes a card."""
@@ -83,8 +96,29 @@ class ReviewPresenter:
         self._probe = index
         self._show_trial()
 
+    def _describe_next(self) -> None:
+        if self._to_describe:
+            self._describe(self._to_describe.pop(0))
+        else:
+            self._describing.stop()
+
+    def _describe(self, row: int) -> None:
+        """Say what the run in ``row`` was; read again only if its journal has grown."""
+        item = self._page.runs.item(row)
+        folder = self._folders[row]
+        try:
+            size = (folder / NAME).stat().st_size
+            if self._described.get(folder) == size:
+                return
+            text = read_run_line(folder).text()
+        except (InputError, OSError):
+            size, text = -1, "cannot be read"
+        self._described[folder] = size
+        item.setText(f"{run_title(folder.name)}\n{text}")
+
     def _choose_run(self, row: int) -> None:
         if 0 <= row < len(self._folders):
+            self._describe(row)
             self.open(self._folders[row])
 
     def _choose_trial(self, _row: int) -> None:

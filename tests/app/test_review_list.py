@@ -1,0 +1,99 @@
+"""The list of recorded runs says what each of them was."""
+
+import pytest
+
+from app import review
+from app.run_lines import read_run_line
+from backend.core.facts import RunFinished
+from backend.core.flow import Outcome
+from backend.runs.journal import NAME, Journal
+from tests.app.stand_in import StandInBench
+
+TIME = "2026-11-21  04:15:11 UTC"
+
+
+def record(folder, outcomes, ending="finished", piece="pot", probes=1):
+    """Write a run with the journal that writes real ones."""
+    bench, journal = StandInBench(), Journal(folder)
+    bench.hub.subscribe(journal)
+    bench.tell_start(piece=piece, trials=max(len(outcomes), 1))
+    for number, outcome in enumerate(outcomes, start=1):
+        if number > 1:
+            bench.tell_trial(number)
+        for probe in range(1, probes + 1):
+            bench.tell_probe(probe, (7.2, 3.1), -3.4)
+        bench.tell_end(outcome)
+    if ending is not None:
+        bench.hub.publish(RunFinished(0.0, "run", ending, ""))
+    journal.close()
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "ending", "text"),
+    [
+        ([Outcome.PLACED], "finished", "pot on short: placed"),
+        ([Outcome.KNOCKED_OVER], "finished", "pot on short: knocked over"),
+        ([Outcome.FELL, Outcome.PLACED, Outcome.PLACED], "finished",
+         "pot on short: 2 placed, 1 fell"),
+        ([Outcome.ABORTED], "stopped", "pot on short: aborted, run stopped"),
+        ([Outcome.PLACED], None, "pot on short: placed, not finished"),
+        ([], None, "pot on short: not finished"),
+    ],
+)  # fmt: skip
+def test_a_run_in_one_line(tmp_path, outcomes, ending, text):
+    assert read_run_line(record(tmp_path / "run", outcomes, ending)).text() == text
+
+
+def test_a_torn_last_line_is_passed_over(tmp_path):
+    run = record(tmp_path / "run", [Outcome.PLACED])
+    whole = (run / NAME).read_bytes()
+    (run / NAME).write_bytes(whole[:-9])
+    assert read_run_line(run).text() == "pot on short: placed, not finished"
+
+
+def test_maps_are_not_decoded(tmp_path, monkeypatch):
+    run = record(tmp_path / "run", [Outcome.PLACED, Outcome.FELL], probes=5)
+    monkeypatch.setattr("backend.runs.fact_codec._array", lambda value: pytest.fail("decoded"))
+    assert read_run_line(run).outcomes == (Outcome.PLACED, Outcome.FELL)
+
+
+def test_the_list_fills_in_newest_first_and_survives_damage(main, qtbot, tmp_path):
+    runs = tmp_path / "runs"
+    record(runs / "20261121-041511-703", [Outcome.FELL], piece="barrel")
+    damaged = record(runs / "20261121-041511-702", [Outcome.FELL])
+    text = (damaged / NAME).read_text().replace('"FELL"', '"FLEW"')
+    (damaged / NAME).write_text(text)
+    main.show_review()
+    rows = main.review_page.runs
+    assert [rows.item(i).text() for i in range(2)] == [TIME, TIME]
+    qtbot.waitUntil(lambda: not main.review._describing.isActive(), timeout=3000)
+    assert rows.item(0).text() == f"{TIME}\nbarrel on short: fell"
+    assert rows.item(1).text() == f"{TIME}\ncannot be read"
+
+
+def test_only_the_newest_are_described_until_one_is_opened(main, qtbot, tmp_path, monkeypatch):
+    monkeypatch.setattr(review, "MOST_DESCRIBED", 1)
+    for number in (701, 702):
+        record(tmp_path / "runs" / f"20261121-041511-{number}", [Outcome.PLACED])
+    main.show_review()
+    qtbot.waitUntil(lambda: not main.review._describing.isActive(), timeout=3000)
+    rows = main.review_page.runs
+    assert rows.item(0).text() == f"{TIME}\npot on short: placed"
+    assert rows.item(1).text() == TIME
+    rows.setCurrentRow(1)
+    assert rows.item(1).text() == f"{TIME}\npot on short: placed"
+
+
+def test_a_run_that_went_on_is_described_again(main, qtbot, tmp_path):
+    run = record(tmp_path / "runs" / "20261121-041511-703", [Outcome.PLACED])
+    whole = (run / NAME).read_bytes()
+    lines = whole.splitlines(keepends=True)
+    (run / NAME).write_bytes(b"".join(lines[:-2]))
+    rows = main.review_page.runs
+    for content, text in ((None, "not finished"), (whole, "placed")):
+        if content is not None:
+            (run / NAME).write_bytes(content)
+        main.show_review()
+        qtbot.waitUntil(lambda: not main.review._describing.isActive(), timeout=3000)
+        assert rows.item(0).text() == f"{TIME}\npot on short: {text}"

@@ -46,7 +46,7 @@ class Estimator:
 
     def warm_up(self) -> None:
         """Let the first call pay for nothing: torch sets up its kernels on first use."""
-        for _ in range(3):
+        for _ in range(2):
             self._probability(np.zeros((SAMPLES_PER_PROBE, CHANNELS), np.float32))
 
     def estimate(self, episode: Episode) -> ContactPatch:

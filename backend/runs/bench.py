@@ -23,6 +23,9 @@ class Estimate(Protocol):
     def base_rate(self) -> float | None:
         """Share of contact points in its training data, for the prior correction."""
 
+    def warm_up(self) -> None:
+        """Make the next estimate quick; changes nothing else."""
+
     def estimate(self, episode: Episode) -> ContactPatch:
         """Return the contact patch of one episode."""
 

@@ -30,6 +30,9 @@ class KnowsTheBottom:
         self._points = face_points(piece.face)
         self.card = SimpleNamespace(piece=piece.name, weights_sha256="0" * 64)
 
+    def warm_up(self):
+        """Nothing to warm."""
+
     def estimate(self, episode):
         inside = BOTTOM_RADIUS_MM - np.hypot(*(self._points + episode.offset_mm).T)
         return ContactPatch(self._points.copy(), 1 / (1 + np.exp(-np.clip(1.2 * inside, -4, 4))))

@@ -33,6 +33,9 @@ class Oracle:
         self._bench, self._points = bench, face_points(piece.face)
         self.asked: list[Episode] = []
 
+    def warm_up(self) -> None:
+        """Nothing to warm."""
+
     def estimate(self, episode: Episode) -> ContactPatch:
         assert np.isfinite(episode.observation).all()
         self.asked.append(episode)

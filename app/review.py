@@ -17,8 +17,9 @@ from backend.core.flow import FloatArray, Outcome
 from backend.objects.catalogue import Catalogue, load_catalogue
 from backend.runs.journal import NAME, read_journal
 from widgets.belief_scene import BeliefScene
-from widgets.decision_panel import DecisionText, decide_in_words, signed_mm
+from widgets.decision_panel import DecisionText, decide_in_words
 from widgets.fault_cards import CardText, FaultCards
+from widgets.probe_strip import caption_of
 from widgets.score_panel import WORDS, Score
 
 MOST_RUNS = 200
@@ -159,10 +160,7 @@ class ReviewPresenter:
         page.story.addItems([text for at, text in self._lines if at == number])
         face, bottom = self._outlines()
         scenes = [scene_of(trial, i, face, bottom) for i in range(len(trial.probes))]
-        captions = [
-            str(p.probe) if p.stability is None
-            else f"{p.probe}: {signed_mm(p.stability.margin_mm)}" for p in trial.probes
-        ]  # fmt: skip
+        captions = [caption_of(p.probe, p.stability) for p in trial.probes]
         self._probe = min(max(self._probe, 0), len(scenes) - 1)
         page.strip.show_probes(list(zip(scenes, captions, strict=True)), self._probe)
         page.belief.show_scene(scenes[self._probe])

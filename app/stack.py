@@ -13,8 +13,15 @@ from backend.devices.protocols import RobotMode
 from backend.objects.catalogue import Piece
 from backend.runs.requests import Mode, RunState, RunStatus, StackRequest, Strategy
 from widgets.belief_scene import BeliefScene
-from widgets.decision_panel import DecisionText, decide_in_words, signed_mm
+from widgets.decision_panel import (
+    ESTIMATED,
+    TRUE,
+    DecisionText,
+    decide_in_words,
+    signed_mm,
+)
 from widgets.fault_cards import CardText, FaultCards
+from widgets.probe_strip import caption_of
 from widgets.run_panel import RunButtons, RunForm
 from widgets.score_panel import WORDS, Score
 
@@ -23,6 +30,7 @@ ACTIVE = frozenset(
      RunState.FINISHING}
 )  # fmt: skip
 MOVING = ACTIVE - {RunState.PAUSED}
+RELEASED = frozenset({Outcome.PLACED, Outcome.FELL, Outcome.KNOCKED_OVER})
 
 
 class StackPresenter:
@@ -173,7 +181,11 @@ class StackPresenter:
         scenes = [self._scene(i) for i in range(len(trial.probes))]
         looks = trial.probes
         self._page.strip.show_probes(
-            [(s, _caption(look)) for s, look in zip(scenes, looks, strict=True)], chosen
+            [
+                (s, caption_of(look.probe, look.stability))
+                for s, look in zip(scenes, looks, strict=True)
+            ],
+            chosen,
         )
         scene, look = scenes[chosen], looks[chosen]
         if self._page.belief.scene is not scene:
@@ -195,7 +207,10 @@ class StackPresenter:
     def _ended(self, done: TrialFinished) -> DecisionText:
         placed = done.outcome is Outcome.PLACED
         mark = "\N{CHECK MARK}" if placed else "\N{MULTIPLICATION X}"
-        margin = "" if done.margin_mm is None else signed_mm(done.margin_mm)
+        # Without a release the margin is no part of the outcome: nothing stood or fell by it.
+        margin = ""
+        if done.outcome in RELEASED and done.margin_mm is not None:
+            margin = signed_mm(done.margin_mm)
         head = self.story.head
         word = WORDS[done.outcome]
         several = head is not None and head.trials > 1
@@ -204,7 +219,7 @@ class StackPresenter:
             "good" if placed else "bad",
             margin,
             done.reason,
-            "true margin" if self._link.simulated else "margin",
+            TRUE if self._link.simulated else ESTIMATED,
         )
 
     def _scene(self, index: int) -> BeliefScene:
@@ -261,12 +276,6 @@ def request_of(form: RunForm) -> StackRequest:
         strategy=strategy,
         mode=modes.get(form.mode, "auto"),
     )
-
-
-def _caption(look: ProbeLook) -> str:
-    if look.stability is None:
-        return f"{look.probe}"
-    return f"{look.probe}: {signed_mm(look.stability.margin_mm)}"
 
 
 def _belief_detail(scene: BeliefScene, look: ProbeLook) -> str:

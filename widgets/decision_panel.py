@@ -13,6 +13,7 @@ from backend.core.flow import PlaceAction, Stability, SupportKind
 from widgets.panel import label, set_property
 
 MINUS = "\N{MINUS SIGN}"
+ESTIMATED, TRUE = "estimated margin", "true margin"
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +27,7 @@ class DecisionText:
     tone: str
     margin: str
     text: str
-    caption: str = "margin"
+    caption: str = ESTIMATED
 
 
 NOTHING_YET = DecisionText("No verdict yet", "", "", "Press Start stacking to let the piece probe.")
@@ -64,7 +65,7 @@ class DecisionPanel(QFrame):
         self.setAccessibleName("Decision")
         self._verdict = label("", "figure")
         self._margin = label("", "figure")
-        self._caption = label("margin", "small")
+        self._caption = label(ESTIMATED, "small")
         self._text = label("", wrap=True)
         self._text.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self._text.setMinimumHeight(2 * self.fontMetrics().lineSpacing() + 4)
@@ -109,7 +110,8 @@ class DecisionPanel(QFrame):
         self._text.setToolTip(text.text)
         for part in (self._verdict, self._margin):
             set_property(part, "tone", text.tone)
-        self.setAccessibleDescription(f"{text.verdict}. {text.caption} {text.margin}. {text.text}")
+        margin = f"{text.caption} {text.margin}. " if text.margin else ""
+        self.setAccessibleDescription(f"{text.verdict}. {margin}{text.text}")
 
     def show_question(self, text: str, button: str = "Approve  A") -> None:
         """Ask for approval; the empty text withdraws the question."""

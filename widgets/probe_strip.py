@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from PySide6.QtCore import QRectF, QSize, Qt
 from PySide6.QtGui import QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QHBoxLayout, QScrollArea, QSizePolicy, QVBoxLayout, QWidget
 
+from backend.core.flow import Stability
 from widgets.belief_scene import BeliefScene
 from widgets.belief_view import BeliefView, describe
+from widgets.decision_panel import signed_mm
 from widgets.overlay import draw_message
 from widgets.panel import label
 from widgets.theme import Theme
@@ -41,7 +44,7 @@ class Thumbnail(QWidget):
         self.view.show_scene(scene)
         self.caption.setText(caption)
         self.setAccessibleName(f"Probe {self.index + 1}: {describe(scene)}")
-        self.setToolTip(f"Probe {self.index + 1}: {caption}. Click to look back.")
+        self.setToolTip(f"Probe {caption} (estimated margin). Click to look back.")
 
     def show_chosen(self, chosen: bool) -> None:
         """Mark this as the one shown large."""
@@ -125,3 +128,11 @@ class ProbeStrip(QWidget):
         if not self.thumbnails:
             draw_message(QPainter(self), self.rect(), self._theme, "No probes yet",
                          "Each press adds a small map; click one to look back.")  # fmt: skip
+
+
+def caption_of(probe: int, stability: Stability | None) -> str:
+    """Return the line below a thumbnail; it says that its margin is the estimate, not the truth."""
+    if stability is None:
+        return f"{probe}"
+    mark = "est. " if math.isfinite(stability.margin_mm) else ""
+    return f"{probe}: {mark}{signed_mm(stability.margin_mm)}"

@@ -116,6 +116,15 @@ def test_a_trial_without_a_verdict_still_says_how_it_ended(live, bench):
     assert live.page.decision._margin.text() == "\N{MINUS SIGN}2.0 mm"
 
 
+@pytest.mark.parametrize("outcome", list(Outcome))
+def test_a_margin_stands_beside_an_outcome_only_after_a_release(live, bench, outcome):
+    told(live, bench, outcome)
+    released = outcome not in (Outcome.GAVE_UP, Outcome.ABORTED)
+    assert live.page.decision._margin.text() == ("+1.6 mm" if released else "")
+    assert live.page.decision._caption.isVisible() == released
+    assert live.page.strip.thumbnails[1].caption.text() == "2: est. \N{MINUS SIGN}1.1 mm"
+
+
 def test_an_outcome_stays_until_the_next_trial_has_a_map(live, bench):
     told(live, bench, Outcome.PLACED)
     bench.tell_trial(2)
@@ -128,7 +137,7 @@ def test_an_outcome_stays_until_the_next_trial_has_a_map(live, bench):
     assert live.page.belief.scene.truth is None
     assert live.page.belief.scene.path == ((5.0, 1.0),)
     assert live.page.decision._verdict.text().endswith("Would fall")
-    assert live.page.decision._caption.text() == "margin"
+    assert live.page.decision._caption.text() == "estimated margin"
 
 
 def test_a_new_run_empties_the_map(live, bench):

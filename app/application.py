@@ -26,7 +26,7 @@ from app.side import SidePresenter
 from app.stack import StackPresenter
 from app.stack_page import StackIntents, StackPage
 from app.stop_key import StopKey
-from backend.core.facts import Fact, FaultRaised, FaultsReset, RunFinished, Said
+from backend.core.facts import Fact, FaultRaised, FaultsReset, RunFinished, RunStarted, Said
 from backend.core.faults import TouchdownError
 from backend.core.hub import Mailbox
 from widgets.decision_panel import NOTHING_YET
@@ -310,6 +310,8 @@ class TouchdownApp(QObject):
             self.cards.show_card(card_of(fact.fault, _clock()))
         elif isinstance(fact, FaultsReset):
             self.cards.clear()
+        elif isinstance(fact, RunStarted):
+            self.window.show_message("")
         elif isinstance(fact, Said):
             self.window.show_message(fact.text)
         elif isinstance(fact, RunFinished) and fact.ending != "finished":

@@ -90,7 +90,7 @@ class BeliefView(QWidget):
         belief = self.scene.belief
         if belief is None:
             if not self._thumbnail:
-                draw_message(painter, area.rect, self._theme, "No probe in this run",
+                draw_message(painter, area.rect, self._theme, "No probe in this trial yet",
                              "The map fills in with the first press.")  # fmt: skip
             return
         painter.save()
@@ -162,7 +162,7 @@ class BeliefView(QWidget):
 def describe(scene: BeliefScene) -> str:
     """Return the scene in one sentence, for screen readers."""
     if scene.belief is None:
-        return "No probe in this run"
+        return "No probe in this trial yet"
     text = (
         f"{scene.belief.probes} probes fused, largest support {scene.belief.probability.max():.2f}"
     )

@@ -140,10 +140,13 @@ def test_an_outcome_stays_until_the_next_trial_has_a_map(live, bench):
     assert live.page.decision._caption.text() == "estimated margin"
 
 
-def test_a_new_run_empties_the_map(live, bench):
+def test_a_new_run_empties_map_and_message(live, bench):
     told(live, bench, Outcome.PLACED)
+    assert "Probe 2" in live.window._message.text()
     bench.tell_start()
     settle(live)
+    assert live.window._message.text() == ""
+    assert live.window._message.toolTip() == ""
     assert live.page.belief.scene.belief is None
     assert live.page.strip.thumbnails == []
 

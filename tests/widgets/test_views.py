@@ -171,7 +171,7 @@ def scene(margin=-1.0, **more):
 def test_belief_without_a_probe(qtbot, theme):
     view = shown(qtbot, BeliefView(theme))
     assert pixels(view).std() > 3
-    assert describe(view.scene) == "No probe in this run"
+    assert describe(view.scene) == "No probe in this trial yet"
 
 
 def test_belief_shows_the_map_and_its_marks(qtbot, theme):

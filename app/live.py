@@ -116,7 +116,8 @@ class LivePresenter:
         else:
             detail = device.state.value
         who = device.identity
-        tip = f"{device.state.value}, {detail}; {health.received} received, {health.lost} lost"
+        lost = _lost(health.lost, "frame" if key.startswith("tactile") else "sample")
+        tip = f"{device.state.value}, {detail}; {health.received} received, {lost}"
         if who is not None:
             tip = f"{who.maker} {who.model}, serial {who.serial}\n{tip}"
         return ChipValue(state, detail, health.lost, tip)
@@ -131,7 +132,7 @@ class LivePresenter:
             panel.detail.setText("")
             return
         health = device.health
-        lost = f", {health.lost} lost" if health.lost else ""
+        lost = f", {_lost(health.lost, 'frame')}" if health.lost else ""
         panel.detail.setToolTip("markers seen, measured rate, frames lost")
         panel.detail.setText(f"{seen}/{total}, {health.rate_hz:.1f} Hz{lost}")
 
@@ -142,6 +143,11 @@ class LivePresenter:
         if device.state is not DeviceState.READY:
             return f"The camera is {device.state.value}."
         return "The camera has sent no frame for more than 2 s."
+
+
+def _lost(count: int, noun: str) -> str:
+    """Name what was lost: beside the count of markers a bare number reads as markers."""
+    return f"{count} {noun} lost" if count == 1 else f"{count} {noun}s lost"
 
 
 def _arm(device: Device) -> Arm:

@@ -214,6 +214,20 @@ def test_stale_by_the_windows_own_clock(live, bench):
     assert live.page.tactile["left"]._age.value == "fresh"
 
 
+@pytest.mark.parametrize(
+    ("lost", "said"), [(0, "Hz"), (1, "Hz, 1 frame lost"), (3, "Hz, 3 frames lost")]
+)
+def test_lost_frames_are_not_taken_for_markers(live, bench, lost, said):
+    bench.devices["tactile_left"].lost = lost
+    bench.turn(0.04)
+    live.live._chips_s = 0.0
+    settle(live)
+    assert live.page.tactile_panels["left"].detail.text().endswith(said)
+    noun = "frame" if lost == 1 else "frames"
+    assert f"{lost} {noun} lost" in live.bar.chips["tactile_left"].toolTip()
+    assert "0 samples lost" in live.bar.chips["force_torque"].toolTip()
+
+
 def test_every_frame_is_drawn_once(live, bench):
     before = live.live.frames_shown["left"]
     for _ in range(10):

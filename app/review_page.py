@@ -34,8 +34,10 @@ class ReviewPage(QWidget):
                              (self.story, "What happened")):  # fmt: skip
             widget.setAccessibleName(name)
         self.refresh.setToolTip("Look for new runs")
-        self.story.setWordWrap(True)
-        self.story.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        for wrapped in (self.runs, self.story):
+            wrapped.setWordWrap(True)
+            wrapped.setResizeMode(QListWidget.ResizeMode.Adjust)
+            wrapped.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self._arrange()
 
     def heightForWidth(self, _width: int) -> int:

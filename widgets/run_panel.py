@@ -189,13 +189,13 @@ class RunPanel(Panel):
     def draw_icons(self) -> None:
         """Draw the icons in the colours of the theme."""
         t = self._theme.tokens
-        ink = t.colour("panel") if self.start.isEnabled() else t.colour("border")
+        ink = t.colour("panel") if self.start.isEnabled() else t.colour("disabled")
         self.start.setIcon(icon("play", ink))
         for button, name in (
             (self.pause, "play" if self.pause.text() == "Resume" else "pause"),
             (self.cancel, "cancel"),
         ):
-            button.setIcon(icon(name, t.colour("text" if button.isEnabled() else "border")))
+            button.setIcon(icon(name, t.colour("text" if button.isEnabled() else "disabled")))
         for button in (self.start, self.pause, self.cancel):
             button.setIconSize(QSize(15, 15))
 

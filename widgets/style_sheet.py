@@ -33,7 +33,7 @@ QPushButton, QToolButton {{ background: {raised}; color: {text}; border: 1px sol
     border-radius: 5px; padding: 5px 12px; min-height: 24px; font-weight: 500; }}
 QPushButton:hover, QToolButton:hover {{ background: {hover}; }}
 QPushButton:pressed, QToolButton:pressed {{ background: {panel}; }}
-QPushButton:disabled, QToolButton:disabled {{ color: {border}; border-color: {hairline};
+QPushButton:disabled, QToolButton:disabled {{ color: {disabled}; border-color: {hairline};
     background: {panel}; }}
 QPushButton:focus, QToolButton:focus, QComboBox:focus, QSpinBox:focus, QLineEdit:focus {{
     border: 2px solid {focus}; }}
@@ -41,7 +41,7 @@ QPushButton[role="primary"] {{ background: {text}; color: {panel}; border-color:
     font-weight: 600; min-height: 28px; }}
 QPushButton[role="primary"]:hover {{ background: {muted}; }}
 QPushButton[role="primary"]:focus {{ border: 2px solid {focus}; }}
-QPushButton[role="primary"]:disabled {{ background: {panel}; color: {border};
+QPushButton[role="primary"]:disabled {{ background: {panel}; color: {disabled};
     border-color: {hairline}; }}
 QPushButton[role="reset"] {{ background: {reset}; color: {on_dark}; border: 1px solid {border};
     font-weight: 600; }}
@@ -97,6 +97,16 @@ QListWidget:focus, QPlainTextEdit:focus {{ border: 2px solid {focus}; }}
 QListWidget::item {{ padding: 6px 8px; }}
 """
 
+_CONTRAST = """
+QPushButton:disabled, QToolButton:disabled, QPushButton[role="primary"]:disabled,
+QComboBox:disabled, QSpinBox:disabled, QLineEdit:disabled {{ color: {disabled};
+    border: 1px dashed {border}; font-weight: 400; }}
+QAbstractSpinBox QLineEdit:disabled {{ border: none; }}
+QToolButton[role="rail"]:disabled, QToolButton[role="plain"]:disabled {{ border: none; }}
+QSpinBox::up-arrow:disabled, QSpinBox::down-arrow:disabled {{ image: none; }}
+"""
+"""Where all is black or white, what is disabled differs by its frame too, not by shade alone."""
+
 
 def style_sheet(tokens: Mapping[str, str], points: float) -> str:
     """Return the style sheet for the tokens of a theme and the base font size in points."""
@@ -105,4 +115,5 @@ def style_sheet(tokens: Mapping[str, str], points: float) -> str:
         "head": f"{points * 1.15:.2f}",
         "figure": f"{points * 1.7:.2f}",
     }
-    return _SHEET.format(**tokens, **sizes)
+    sheet = _SHEET + _CONTRAST if tokens["name"] == "contrast" else _SHEET
+    return sheet.format(**tokens, **sizes)

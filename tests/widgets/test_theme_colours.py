@@ -5,8 +5,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 from PySide6.QtGui import QColor
+from PySide6.QtWidgets import QComboBox, QLineEdit, QPushButton, QSpinBox
 
-from widgets.theme import CONTRAST, DARK, LIGHT, contrast_ratio
+from widgets.style_sheet import style_sheet
+from widgets.theme import CONTRAST, DARK, LIGHT, contrast_ratio, load_resources
 
 THEMES = [DARK, LIGHT, CONTRAST]
 IDS = [t.name for t in THEMES]
@@ -75,6 +77,31 @@ def test_borders_and_focus_are_seen(tokens):
         for ground in ("panel", "raised", "bg"):
             assert ratio(tokens, line, ground) >= 3.0
     assert ratio(tokens, "selection_text", "selection") >= 4.5
+
+
+@pytest.mark.parametrize("tokens", THEMES, ids=IDS)
+def test_disabled_is_legible_and_fainter_than_text(tokens):
+    for ground in ("panel", "bg"):
+        assert 3.0 <= ratio(tokens, "disabled", ground) <= 0.5 * ratio(tokens, "text", ground)
+
+
+@pytest.mark.parametrize("kind", [QPushButton, QComboBox, QSpinBox, QLineEdit])
+def test_in_high_contrast_a_disabled_control_has_a_broken_frame(qapp, qtbot, kind):
+    """Ink along the left edge: whole when enabled, with gaps when disabled."""
+    load_resources()
+    control = kind()
+    qtbot.addWidget(control)
+    control.setStyleSheet(style_sheet(CONTRAST.as_dict(), 10.0))
+    control.resize(120, 60)
+
+    def share():
+        image = control.grab().toImage()
+        edge = [image.pixelColor(0, y).lightness() > 64 for y in range(15, image.height() - 15)]
+        return sum(edge) / len(edge)
+
+    assert share() == 1.0
+    control.setEnabled(False)
+    assert 0.2 < share() < 0.9
 
 
 @pytest.mark.parametrize("tokens", THEMES, ids=IDS)

@@ -116,6 +116,7 @@ class ReviewPresenter:
             size, text = -1, "cannot be read"
         self._described[folder] = size
         item.setText(f"{run_title(folder.name)}\n{text}")
+        item.setToolTip(text)
 
     def _choose_run(self, row: int) -> None:
         if 0 <= row < len(self._folders):

@@ -70,6 +70,7 @@ def test_the_list_fills_in_newest_first_and_survives_damage(main, qtbot, tmp_pat
     qtbot.waitUntil(lambda: not main.review._describing.isActive(), timeout=3000)
     assert rows.item(0).text() == f"{TIME}\nbarrel on short: fell"
     assert rows.item(1).text() == f"{TIME}\ncannot be read"
+    assert rows.item(0).toolTip() == "barrel on short: fell"
 
 
 def test_only_the_newest_are_described_until_one_is_opened(main, qtbot, tmp_path, monkeypatch):

@@ -30,6 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=StabilitySettings().delta,
         help="a point supports above this probability (default: 0.9)",
     )
+    parser.add_argument(
+        "--pieces", type=Path, metavar="DIR", help="folder with further piece files"
+    )
 
 
 def run(args: argparse.Namespace, screen: Screen) -> int:
@@ -44,7 +47,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     checkpoint = load_checkpoint(args.model)
     card = checkpoint.card
     rows = load_rows(args.data, card.piece)
-    points = face_points(load_catalogue().piece(card.piece).face)
+    points = face_points(load_catalogue(args.pieces).piece(card.piece).face)
     scores = evaluate(checkpoint, rows, points, args.delta)
     trained_on = set(card.data.get("episodes", {}))
     screen.show(score_table(f"{card.piece}, {card.modality} (simulated)", scores, trained_on))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 from importlib.util import find_spec
+from types import ModuleType
 
 from backend.core.faults import InputError
 from backend.verbs.screen import Screen
@@ -15,7 +16,10 @@ HELP = "open the window"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.epilog = "All other arguments go to the window: see 'python -m app --help'."
+    window = _window().parser()
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    # The window reads its own arguments; its list of them ends this help.
+    parser.epilog = "the window's own arguments:\n\n" + window.format_help()
     parser.set_defaults(handed_on=[])
 
 
@@ -32,6 +36,28 @@ def open_window(arguments: list[str]) -> int:
             "PySide6",
             "Run 'make setup', or work without a window: 'touchdown stack'.",
         )
+    _refuse_bad_words(arguments)
+    return int(_window().main(arguments))
+
+
+def _refuse_bad_words(arguments: list[str]) -> None:
+    """Raise ``InputError``, as every verb does, before the window's parser leaves the program."""
+    parser = _window().parser()
+    parser.exit_on_error = False
+    try:
+        _, unknown = parser.parse_known_args(arguments)
+    except argparse.ArgumentError as error:
+        raise InputError(
+            f"{str(error).capitalize()}.", "touchdown app", "See 'touchdown app --help'."
+        ) from error
+    if unknown:
+        raise InputError(
+            f"Unknown argument: {' '.join(unknown)}.",
+            "touchdown app",
+            "See 'touchdown app --help'.",
+        )
+
+
+def _window() -> ModuleType:
     # The backend knows nothing of the window (import contract): this one door opens by name.
-    window = importlib.import_module("app.__main__")
-    return int(window.main(arguments))
+    return importlib.import_module("app.__main__")

@@ -10,6 +10,7 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 
+from backend.core.faults import InputError
 from backend.verbs.check import Check
 
 LEAST_FREE_GB = 2.0
@@ -103,6 +104,22 @@ def check_models(folder: Traversable | None = None) -> Check:
     if absent:
         return Check("models", False, f"missing for {', '.join(absent)}", "make models")
     return Check("models", True, ", ".join(shipped))
+
+
+def check_catalogue(folder: Path | None = None) -> Check:
+    """Read the shipped pieces (and those of ``folder``) and name the first broken file."""
+    from backend.objects.catalogue import load_catalogue
+
+    try:
+        catalogue = load_catalogue(folder)
+    except InputError as error:
+        fix = f"{error.fix} A shipped file: install Touchdown again."
+        return Check("catalogue", False, f"{error.where}: {error.what}", fix)
+    absent = [piece for piece in PIECES if piece not in catalogue.pieces]
+    if absent:
+        detail = f"no piece file for {', '.join(absent)}"
+        return Check("catalogue", False, detail, "Install Touchdown again.")
+    return Check("catalogue", True, ", ".join(sorted(catalogue.pieces)))
 
 
 def _data_folder() -> Path:

@@ -29,6 +29,7 @@ EXAMINATIONS: tuple[Examine, ...] = (
     check_machine.check_serial_ports,
     check_machine.check_data_folder,
     check_machine.check_disk,
+    check_machine.check_catalogue,
     check_machine.check_models,
 )
 

@@ -24,6 +24,9 @@ TEST_SEED_OFFSET = 1_000_000
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("--pieces", default="pot,mushroom,barrel", help="separated by commas")
+    parser.add_argument(
+        "--pieces-dir", type=Path, metavar="DIR", help="folder with further piece files"
+    )
     parser.add_argument("--out", type=Path, default=Path("resources/models"), metavar="DIR")
     parser.add_argument("--episodes", type=int, default=2000, help="per training bottom")
     parser.add_argument("--test-episodes", type=int, default=400, help="per unseen bottom")
@@ -64,6 +67,7 @@ def _make(args: argparse.Namespace, piece: str, folder: Path, screen: Screen) ->
     out = args.out / f"{piece}.safetensors"
     draw = ["--probes-per-grip", args.probes_per_grip, "--workers", args.workers]
     draw += ["--grips-per-mounting", args.grips_per_mounting, "--piece", piece]
+    draw += ["--pieces", args.pieces_dir] if args.pieces_dir else []
     known = ["--bottoms", TRAINING_BOTTOMS, "--episodes", args.episodes, "--seed", args.seed]
     _do(simulate, [*draw, *known, "--out", folder / "train"], screen)
     words = [folder / "train", "--piece", piece, "--out", out, "--threads", args.threads]
@@ -73,7 +77,7 @@ def _make(args: argparse.Namespace, piece: str, folder: Path, screen: Screen) ->
     _do(simulate, [*draw, *unseen, "--out", folder / "test"], screen)
 
     checkpoint = load_checkpoint(out)
-    points = face_points(load_catalogue().piece(piece).face)
+    points = face_points(load_catalogue(args.pieces_dir).piece(piece).face)
     delta = StabilitySettings().delta
     scores = measure(checkpoint, load_rows(folder / "test", piece), points, delta)
     screen.show(evaluate.score_table(f"{piece}, unseen bottoms (simulated)", scores, set()))

@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
@@ -53,6 +54,8 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
             "--grid",
             f"The model takes {_GRID} markers; use a {_GRID} large-dot gel.",
         )
+    # What OpenCV writes by itself would stand beside the error that names file and fix.
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     reference = rest_places(args.reference) if args.reference else None
     tracked: list[Tracked] = []
     with ExitStack() as stack:

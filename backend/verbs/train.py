@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import tempfile
 from pathlib import Path
 
 from backend.config.load import parse
 from backend.config.method import TrainingSettings
+from backend.core.faults import InputError
 from backend.verbs.screen import Screen
 
 NAME = "train"
@@ -19,11 +21,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     defaults = TrainingSettings()
     parser.add_argument("data", type=Path, help="folder that 'touchdown simulate --out' wrote")
     parser.add_argument("--piece", help="grasped piece (default: the only one in the data)")
-    parser.add_argument("--modality", default=defaults.modality, help="FT, Tac or FT+Tac")
-    parser.add_argument("--epochs", type=int, default=defaults.epochs)
-    parser.add_argument("--batch", type=int, default=defaults.batch)
-    parser.add_argument("--learning-rate", type=float, default=defaults.learning_rate)
-    parser.add_argument("--seed", type=int, default=defaults.seed)
+    parser.add_argument(
+        "--modality",
+        choices=("FT", "Tac", "FT+Tac"),
+        default=defaults.modality,
+        help="what the model sees: wrench, markers or both (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--epochs",
+        type=int,
+        default=defaults.epochs,
+        help="passes over the training episodes; the best is kept (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--batch", type=int, default=defaults.batch, help="episodes a step (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--learning-rate",
+        type=float,
+        default=defaults.learning_rate,
+        help="step size of the optimiser (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=defaults.seed,
+        help="of first weights, order and split (default: %(default)s)",
+    )
     parser.add_argument("--threads", type=int, default=1, help="processor threads (default: 1)")
     parser.add_argument(
         "--out", type=Path, help="model file (default: <piece>.safetensors in the present folder)"
@@ -49,7 +73,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     job = {
         "data": args.data.resolve(),
         "piece": args.piece,
-        "out": (args.out or Path(f"{args.piece or 'model'}.safetensors")).resolve(),
+        "out": _writable((args.out or Path(f"{args.piece or 'model'}.safetensors")).resolve()),
         "settings": parse(TrainingSettings, settings, "arguments"),
         "resume": args.resume,
         "threads": args.threads,
@@ -89,3 +113,20 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
                     answer |= {"cancelled": True, "done": report.done}
     screen.result({**answer, "curve": curve})
     return 1 if "cancelled" in answer else 0
+
+
+def _writable(out: Path) -> Path:
+    """Return ``out``; ``InputError`` if no file can be written there, before hours of training."""
+    if out.is_dir():
+        raise InputError("This is a folder, not a file.", str(out), "Name a .safetensors file.")
+    folder = next(place for place in out.parents if place.exists())
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(b"touchdown")
+    except OSError as error:
+        raise InputError(
+            f"The model cannot be written there: {error.strerror or 'not writable'}.",
+            str(folder),
+            "Name a file in a folder that you may write to (--out).",
+        ) from error
+    return out

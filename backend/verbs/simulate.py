@@ -116,3 +116,11 @@ def _check_folder(out: Path) -> None:
         raise InputError(
             "The folder already holds episodes.", str(out), "Name a new or an empty folder."
         )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"The folder cannot be made: {error.strerror or error}.",
+            str(out),
+            "Name another folder.",
+        ) from error

@@ -53,6 +53,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     out = Path(args.out)
     _check_folder(out)
     jobs = [job for plan, label in _plans(args) for job in jobs_of(plan, label, out)]
+    _make_folder(out)
     total = sum(job.episodes for job in jobs)
     began_s = time.monotonic()
     with screen.progress(f"Simulating {total} episodes", total) as advance:
@@ -116,6 +117,10 @@ def _check_folder(out: Path) -> None:
         raise InputError(
             "The folder already holds episodes.", str(out), "Name a new or an empty folder."
         )
+
+
+def _make_folder(out: Path) -> None:
+    """Make the folder before anything is simulated for it."""
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

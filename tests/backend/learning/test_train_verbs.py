@@ -39,7 +39,7 @@ def test_train_then_evaluate(
 
 @pytest.mark.parametrize(
     ("extra", "where"),
-    [(["--epochs", "0"], "arguments"), (["--modality", "smell"], "arguments")],
+    [(["--epochs", "0"], "arguments"), (["--modality", "smell"], "touchdown train")],
 )
 def test_bad_arguments_are_one_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], extra: list[str], where: str

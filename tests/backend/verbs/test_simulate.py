@@ -103,6 +103,13 @@ def test_bad_input_is_one_clear_error(extra, word, tmp_path, capsys) -> None:
     assert not out.exists()
 
 
+def test_a_folder_that_cannot_be_made_is_named(tmp_path, capsys) -> None:
+    (tmp_path / "file").write_text("no folder")
+    out = tmp_path / "file" / "data"
+    assert main(["simulate", "--out", str(out), "--episodes", "2", "--json"]) == 2
+    assert json.loads(capsys.readouterr().err)["error"]["where"] == str(out)
+
+
 def test_a_folder_with_episodes_is_not_mixed_with_others(written, capsys) -> None:
     out, _ = written
     before = [path.read_bytes() for path in find_packs(out)]

@@ -51,8 +51,9 @@ class McapWriter:
         self._metadata_indexes: list[bytes] = []
         self._span_ns: tuple[int, int] | None = None
         self._zstd = zstandard.ZstdCompressor(level=1)
+        self._crc = 0
         self._file = self.part.open("wb")
-        self._file.write(MAGIC + record(Op.HEADER, text("ros2") + text(LIBRARY)))
+        self._put(MAGIC + record(Op.HEADER, text("ros2") + text(LIBRARY)))
 
     def __enter__(self) -> Self:
         return self
@@ -74,7 +75,7 @@ class McapWriter:
         """Append a metadata record."""
         start = self._file.tell()
         whole = record(Op.METADATA, text(name) + text_map(values))
-        self._file.write(whole)
+        self._put(whole)
         entry = struct.pack("<QQ", start, len(whole)) + text(name)
         self._metadata_indexes.append(record(Op.METADATA_INDEX, entry))
 
@@ -88,7 +89,7 @@ class McapWriter:
         head = struct.pack("<QQQI", first, last, len(content), zlib.crc32(content)) + text(kind)
         start = self._file.tell()
         chunk = record(Op.CHUNK, head + struct.pack("<Q", len(stored)) + stored)
-        self._file.write(chunk)
+        self._put(chunk)
         index_start = self._file.tell()
         where = self._add_message_indexes(blocks)
         index_length = self._file.tell() - index_start
@@ -108,14 +109,18 @@ class McapWriter:
             at += len(block.records)
             where[block.channel] = self._file.tell()
             head = struct.pack("<HI", block.channel, entries.nbytes)
-            self._file.write(record(Op.MESSAGE_INDEX, head + entries.tobytes()))
+            self._put(record(Op.MESSAGE_INDEX, head + entries.tobytes()))
             self._counts[block.channel] += len(block.log_ns)
         return where
+
+    def _put(self, content: bytes) -> None:
+        self._file.write(content)
+        self._crc = zlib.crc32(content, self._crc)
 
     def finish(self) -> dict[str, int]:
         """Write the summary and make the unnamed file durable; returns the counts per topic."""
         if not self._file.closed:
-            self._file.write(record(Op.DATA_END, struct.pack("<I", 0)))
+            self._file.write(record(Op.DATA_END, struct.pack("<I", self._crc)))
             self._file.write(self._summary(self._file.tell()) + MAGIC)
             self._file.flush()
             os.fsync(self._file.fileno())

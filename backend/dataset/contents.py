@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
@@ -15,6 +16,10 @@ from backend.core.faults import InputError
 from backend.dataset.records import MAGIC, Op, walk
 
 MAX_CHUNK_BYTES = 256_000_000
+MAX_FILE_BYTES = 1_000_000_000
+DATA_END_BYTES = 13
+DAMAGE = (ValueError, LookupError, TypeError, ArithmeticError, RecursionError, struct.error,
+          zstandard.ZstdError)  # fmt: skip
 FIX = "Use another copy of the file, or record or simulate it again."
 
 
@@ -37,19 +42,28 @@ def explained(path: Path) -> Iterator[None]:
         raise InputError(
             f"Cannot read the file: {reason}.", str(path), "Check the path."
         ) from error
-    except (ValueError, KeyError, TypeError, struct.error, zstandard.ZstdError) as error:
+    except DAMAGE as error:
         raise InputError(f"The file is damaged or foreign: {error}.", str(path), FIX) from error
 
 
 def read_groups(path: Path) -> Iterator[Contents]:
     """Yield one ``Contents`` per chunk, with the metadata records before it.
 
-    Checks both magics, the footer's and every chunk's CRC; raises ``InputError``.
+    Checks both magics and the CRC of data, summary and every chunk; raises ``InputError``.
     """
     with explained(path):
-        data = path.read_bytes()
+        data = read_bytes(path)
         _check_ends(data)
         yield from _groups(memoryview(data)[len(MAGIC) : -len(MAGIC)])
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return a file's bytes; raises ``ValueError`` for more than an episode file can have."""
+    with path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > MAX_FILE_BYTES:
+            raise ValueError(f"{size} bytes are more than any episode file has")
+        return file.read(size)
 
 
 def read_whole(path: Path) -> Contents:
@@ -85,16 +99,25 @@ def _check_ends(data: bytes) -> None:
         raise ValueError("it has no footer")
     if crc and start and zlib.crc32(memoryview(data)[start : footer + 25]) != crc:
         raise ValueError("the checksum of its summary is wrong")
+    _check_data(memoryview(data), (start or footer) - DATA_END_BYTES)
+
+
+def _check_data(data: memoryview, end: int) -> None:
+    op, length, crc = struct.unpack_from("<BQI", data, max(end, 0))
+    if (op, length) != (Op.DATA_END, 4):
+        raise ValueError("its data has no end")
+    if crc and zlib.crc32(data[:end]) != crc:
+        raise ValueError("the checksum of its data is wrong")
 
 
 def _groups(body: memoryview) -> Iterator[Contents]:
     group = Contents()
     for op, content in walk(body, "the file"):
         if op == Op.METADATA:
-            name, at = _text(content, 0)
-            group.metadata[name] = _text_map(content, at)
+            name, values = read_metadata(content)
+            group.metadata[name] = values
         elif op == Op.CHUNK:
-            _read_chunk(content, group)
+            _read_messages(open_chunk(content), group)
             yield group
             group = Contents()
         elif op == Op.DATA_END:
@@ -103,14 +126,24 @@ def _groups(body: memoryview) -> Iterator[Contents]:
         yield group
 
 
-def _read_chunk(content: memoryview, group: Contents) -> None:
+def read_metadata(content: memoryview) -> tuple[str, dict[str, str]]:
+    """Return (name, values) of a metadata record."""
+    name, at = read_text(content, 0)
+    return name, _text_map(content, at)
+
+
+def open_chunk(content: memoryview) -> bytes:
+    """Return the records within a chunk; raises ``ValueError`` unless size and CRC are right."""
     size, crc = struct.unpack_from("<QI", content, 16)
-    compression, at = _text(content, 28)
+    compression, at = read_text(content, 28)
     (stored,) = struct.unpack_from("<Q", content, at)
     records = content[at + 8 : at + 8 + stored]
     if size > MAX_CHUNK_BYTES or len(records) != stored:
         raise ValueError("a chunk has an impossible size")
     if compression == "zstd":
+        # The decompressor allocates what the frame claims, whatever limit it is given.
+        if zstandard.frame_content_size(records) not in (-1, size):
+            raise ValueError("a chunk has an impossible size")
         plain = zstandard.ZstdDecompressor().decompress(records, max_output_size=size)
     elif compression == "":
         plain = bytes(records)
@@ -118,7 +151,7 @@ def _read_chunk(content: memoryview, group: Contents) -> None:
         raise ValueError(f"unknown compression '{compression}'")
     if len(plain) != size or (crc and zlib.crc32(plain) != crc):
         raise ValueError("the checksum of a chunk is wrong")
-    _read_messages(plain, group)
+    return plain
 
 
 def _read_messages(plain: bytes, group: Contents) -> None:
@@ -126,7 +159,7 @@ def _read_messages(plain: bytes, group: Contents) -> None:
     for op, content in walk(plain, "a chunk"):
         if op == Op.CHANNEL:
             (channel,) = struct.unpack_from("<H", content, 0)
-            topics[channel] = _text(content, 4)[0]
+            topics[channel] = read_text(content, 4)[0]
         elif op == Op.MESSAGE:
             channel, sequence = struct.unpack_from("<HI", content, 0)
             topic = topics[channel]
@@ -134,7 +167,8 @@ def _read_messages(plain: bytes, group: Contents) -> None:
             group.sequence.setdefault(topic, []).append(sequence)
 
 
-def _text(content: memoryview, at: int) -> tuple[str, int]:
+def read_text(content: memoryview, at: int) -> tuple[str, int]:
+    """Return (text, where it ends) of a length-prefixed string at ``at``."""
     (length,) = struct.unpack_from("<I", content, at)
     end = at + 4 + length
     if end > len(content):
@@ -147,6 +181,6 @@ def _text_map(content: memoryview, at: int) -> dict[str, str]:
     at, end = at + 4, at + 4 + length
     values: dict[str, str] = {}
     while at < end:
-        key, at = _text(content, at)
-        values[key], at = _text(content, at)
+        key, at = read_text(content, at)
+        values[key], at = read_text(content, at)
     return values

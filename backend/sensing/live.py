@@ -50,6 +50,7 @@ class LiveSensing:
     ) -> None:
         self.raw, self.fields, self.wrench = raw, fields, wrench
         self._trackers = {finger: MarkerTracker(finger) for finger in FINGERS}
+        self._in_air: dict[Finger, Reference] = {}
         self._frame_cursor = {finger: raw.frames[finger].count for finger in FINGERS}
         self._sample_cursor = raw.samples.count
         self._payload = payload
@@ -82,12 +83,17 @@ class LiveSensing:
         return self._tare
 
     def take_references(self, count: int) -> Mapping[Finger, Reference]:
-        """Take the tactile reference of both fingers from the newest ``count`` fields each."""
+        """Take the tactile reference of both fingers from the newest ``count`` fields each.
+
+        The first ones, in air right after gripping, are the shape that all later ones must have:
+        a piece that touches something is refused (``RefusedError``).
+        """
         taken: dict[Finger, Reference] = {}
         for finger in FINGERS:
             stream = self.fields[finger]
             newest, _, _ = stream.since(stream.count - count)
-            taken[finger] = take_reference(newest)
+            taken[finger] = take_reference(newest, self._in_air.get(finger))
+        self._in_air = self._in_air or taken
         for finger, reference in taken.items():
             self._trackers[finger].set_reference(reference)
         return taken

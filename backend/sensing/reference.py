@@ -41,9 +41,10 @@ class Reference:
 def take_reference(fields: Sequence[MarkerField], template: Reference | None = None) -> Reference:
     """Average ``fields`` of one finger, oldest first, into a reference.
 
-    ``template``: a stored no-contact reference of the same sensor; with it a gel in contact is
-    refused. Raises ``RefusedError`` with reason "frames" (too few or of two fingers), "markers"
-    (not all seen), "motion" (more than three times the noise floor) or "contact".
+    ``template``: a no-contact reference of the same gel; with it a gel in contact is refused (the
+    loop gives the first one taken in air after gripping). Raises ``RefusedError`` with reason
+    "frames" (too few or of two fingers), "markers" (not all seen), "motion" (more than three times
+    the noise floor) or "contact".
     """
     _check_frames(fields)
     places = np.stack([field.position_px for field in fields])
@@ -55,17 +56,21 @@ def take_reference(fields: Sequence[MarkerField], template: Reference | None = N
             f"The gel moves by {motion_px:.2f} px; wait until it is still "
             f"(at most {MOTION_FACTOR * NOISE_FLOOR_PX:.2f} px).",
         )
-    finger = fields[-1].finger
     if template is not None:
-        change_px = shape_change_px(rest, template.position_px)
-        if change_px > CONTACT_PX:
-            raise RefusedError(
-                "contact",
-                f"The {finger} gel is pressed out of its no-contact shape by {change_px:.2f} px; "
-                "open the gripper first.",
-            )
+        refuse_contact(rest, [template.position_px])
     noise = places.std(axis=0, ddof=1).mean(axis=1)
-    return Reference(finger, fields[-1].t_s, rest, noise, len(fields))
+    return Reference(fields[-1].finger, fields[-1].t_s, rest, noise, len(fields))
+
+
+def refuse_contact(position_px: FloatArray, templates_px: Sequence[FloatArray]) -> None:
+    """Raise ``RefusedError`` "contact" unless (63, 2) places have the shape of one template."""
+    change_px = min(shape_change_px(position_px, template) for template in templates_px)
+    if not change_px <= CONTACT_PX:
+        raise RefusedError(
+            "contact",
+            f"The gel is pressed {change_px:.2f} px out of its no-contact shape "
+            f"(at most {CONTACT_PX:.2f} px).",
+        )
 
 
 def shape_change_px(position_px: FloatArray, rest_px: FloatArray) -> float:

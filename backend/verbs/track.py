@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import cv2
@@ -14,18 +15,30 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
-from backend.core.faults import InputError
+from backend.core.faults import InputError, RefusedError
 from backend.core.flow import GRID_COLS, GRID_ROWS, MarkerField, MarkerState, TactileFrame
 from backend.sensing.marker_overlay import OverlayVideo
 from backend.sensing.markers import MarkerTracker
 from backend.sensing.pictures import DEFAULT_RATE_HZ, count_pictures, read_pictures
-from backend.sensing.reference import Reference
+from backend.sensing.reference import (
+    FEWEST_FRAMES,
+    FRAMES,
+    Reference,
+    refuse_contact,
+    take_reference,
+)
+from backend.simulation.gel_look import load_look, mirrored
 from backend.verbs.screen import Screen
 
 NAME = "track"
 HELP = "follow the markers through an image, a video or a folder"
 _GRID = f"{GRID_ROWS}x{GRID_COLS}"
 _SEARCH_FRAMES = 25
+_REST_FIX = {
+    "contact": "Take pictures with nothing on the gel. If nothing touches it here, this sensor's "
+    "own shape differs from the shipped one: name its no-contact pictures with --template.",
+    "motion": "Take pictures of a gel at rest.",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +56,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--reference", type=Path, help="rest images that displacements count from (default: first)"
     )
+    parser.add_argument(
+        "--template",
+        type=Path,
+        metavar="FILE",
+        help="no-contact pictures of the same sensor that the reference is checked against "
+        "(default: the large-dot gel that ships)",
+    )
     parser.add_argument("--overlay", type=Path, help="write a video with the markers drawn in")
 
 
@@ -56,7 +76,11 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         )
     # What OpenCV writes by itself would stand beside the error that names file and fix.
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    reference = rest_places(args.reference) if args.reference else None
+    if args.template and not args.reference:
+        raise InputError(
+            "There is no reference to check.", "--template", "Name the rest images: --reference."
+        )
+    reference = rest_places(args.reference, args.template) if args.reference else None
     tracked: list[Tracked] = []
     with ExitStack() as stack:
         overlay = (
@@ -100,14 +124,33 @@ def follow(
         raise _unrecognised(tracker, path)
 
 
-def rest_places(path: Path) -> Reference:
-    """Return the mean marker places over the pictures of ``path`` that show all 63."""
+def rest_places(path: Path, template: Path | None = None) -> Reference:
+    """Return the mean marker places over the first ten pictures of ``path`` that show all 63.
+
+    ``template``: no-contact pictures of this very sensor, else the shape of the gel that ships.
+    Raises ``InputError`` if the gel moves or is in contact.
+    """
+    whole = _whole_fields(path)
+    if template is None:
+        shapes = [load_look().rest_px, mirrored(load_look()).rest_px]
+    else:
+        shapes = [_as_reference(_whole_fields(template)).position_px]
+    try:
+        rest = _as_reference(whole) if len(whole) < FEWEST_FRAMES else take_reference(whole)
+        refuse_contact(rest.position_px, shapes)
+    except RefusedError as refused:
+        raise InputError(refused.detail, str(path), _REST_FIX[refused.reason]) from refused
+    return rest
+
+
+def _whole_fields(path: Path) -> list[MarkerField]:
+    """Return the markers of the first ten pictures of ``path`` that show all 63."""
     tracker = MarkerTracker("left")
-    fields = [tracker.track(frame) for frame in read_pictures(path)]
-    whole = [field for field in fields if (field.state == MarkerState.SEEN).all()]
+    fields = (tracker.track(frame) for frame in read_pictures(path))
+    whole = list(islice((f for f in fields if (f.state == MarkerState.SEEN).all()), FRAMES))
     if not whole:
         raise _unrecognised(tracker, path)
-    return _as_reference(whole)
+    return whole
 
 
 def _as_reference(fields: list[MarkerField]) -> Reference:

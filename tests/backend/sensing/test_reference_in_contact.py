@@ -1,0 +1,115 @@
+"""What a reference may be taken from: the gel at rest, never a gel that something presses on."""
+
+from __future__ import annotations
+
+from itertools import count
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from backend.assembly import simulated_session
+from backend.core.facts import Fact, PhaseEntered
+from backend.core.faults import InputError, RefusedError
+from backend.core.flow import FINGERS, TactileFrame
+from backend.core.stream import SampleStream, Stream
+from backend.runs.requests import StackRequest
+from backend.sensing.live import LiveSensing, RawStreams
+from backend.sensing.pictures import read_pictures
+from backend.session import Keep
+from backend.verbs.track import rest_places
+from tests.backend.sensing.known_truth import GELSIGHT, REST_FRAME, bump_field, rest_dots, warp
+from tests.backend.sensing.test_real_gels import LARGE
+
+PRESSED = GELSIGHT / "cuboid_10-2-284.png"
+
+
+def test_a_real_gel_at_rest_is_accepted() -> None:
+    table = np.loadtxt(GELSIGHT / "rest_positions.csv", delimiter=",", skiprows=1)
+    away = np.linalg.norm(rest_places(REST_FRAME).position_px - table[:, 2:], axis=1)
+    assert away.max() <= 0.3
+
+
+@pytest.mark.parametrize("name", [PRESSED.name, *LARGE])
+def test_every_real_gel_in_contact_is_refused(name: str, tmp_path: Path) -> None:
+    # One frame of each, so that it is not the motion of the clip that is refused.
+    first = tmp_path / f"{name}.png"
+    cv2.imwrite(str(first), next(read_pictures(GELSIGHT / name)).image)
+    with pytest.raises(InputError, match="no-contact shape") as refused:
+        rest_places(first)
+    assert refused.value.where == str(first)
+    assert "--template" in refused.value.fix
+
+
+def test_a_gel_of_its_own_shape_is_checked_against_its_own_template() -> None:
+    with pytest.raises(InputError, match="no-contact shape"):
+        rest_places(PRESSED, template=REST_FRAME)
+    # Of a sensor known by nothing but this picture it is the rest by what the user says.
+    assert rest_places(PRESSED, template=PRESSED).frames == 1
+    with pytest.raises(InputError, match="no-contact shape"):
+        rest_places(REST_FRAME, template=PRESSED)
+
+
+def test_a_gel_that_moves_is_refused(tmp_path: Path) -> None:
+    image, _ = rest_dots()
+    for k, a in enumerate(np.linspace(0.0, 2.0, 10)):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), warp(image, bump_field, float(a)))
+    with pytest.raises(InputError, match="moves by") as refused:
+        rest_places(tmp_path)
+    assert refused.value.where == str(tmp_path)
+
+
+def test_both_simulated_fingers_are_accepted_in_air_and_refused_in_the_press(
+    tmp_path: Path,
+) -> None:
+    session = simulated_session(keep=Keep(None))
+
+    def grab(fact: Fact) -> None:
+        if isinstance(fact, PhaseEntered) and (fact.phase, fact.probe) in (
+            ("approach", 1),
+            ("lift", 1),
+        ):
+            for finger in FINGERS:
+                newest = session.frames[finger].newest()
+                assert newest is not None
+                cv2.imwrite(str(tmp_path / f"{fact.phase}-{finger}.png"), newest.image)
+
+    session.hub.subscribe(grab)
+    session.run(StackRequest("pot", ("short",), seed=7))
+    session.close()
+    for finger in FINGERS:
+        assert rest_places(tmp_path / f"approach-{finger}.png").frames == 1
+        with pytest.raises(InputError, match="no-contact shape"):
+            rest_places(tmp_path / f"lift-{finger}.png")
+
+
+def test_the_loop_refuses_a_later_reference_in_contact() -> None:
+    frames = {finger: Stream[TactileFrame](finger, 64) for finger in FINGERS}
+    fields = {finger: Stream(finger, 64) for finger in FINGERS}
+    raw = RawStreams(frames, SampleStream("ft", 6, 10), SampleStream("arm", 3, 10))
+    sensing = LiveSensing(raw, fields, SampleStream("wrench", 6, 10), np.zeros(6))
+    clock = count()
+
+    image, _ = rest_dots()
+
+    def show(*presses_px: float) -> None:
+        for press_px, k in zip(presses_px, clock, strict=False):
+            shown = warp(image, bump_field, press_px)
+            for finger in FINGERS:
+                frames[finger].put(k / 25, TactileFrame(finger, k, k / 25, shown))
+        sensing.update()
+
+    show(*[0.0] * 10)
+    rest = sensing.take_references(10)
+    show(2.0, 4.0, *[6.0] * 5)
+    with pytest.raises(RefusedError) as refused:
+        sensing.take_references(5)
+    assert refused.value.reason == "contact"
+    # The reference in use stays the one taken at rest.
+    newest = fields["left"].newest()
+    assert newest is not None
+    moved = newest.position_px - rest["left"].position_px
+    np.testing.assert_allclose(newest.displacement_px, moved, atol=1e-9)
+    show(4.0, 2.0, *[0.0] * 5)
+    sensing.take_references(5)

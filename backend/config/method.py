@@ -16,6 +16,9 @@ Probability = Annotated[float, Field(gt=0, lt=1)]
 SAMPLES_PER_PROBE = 20
 """T = 2 s at 10 Hz [P]; ticks at 0.1, 0.2 ... 2.0 s after the onset (20, not 21) [U]."""
 
+EARLY_TICKS = SAMPLES_PER_PROBE - 1
+"""Ticks that can be worked through before the last sample of a probe arrives."""
+
 TICK_S = 0.1
 """Distance of the ticks, 1 / 10 Hz [P]."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -115,15 +116,16 @@ class SampleStream:
         with self._lock:
             oldest = max(self._start, self._count - self.capacity)
             first = max(cursor, oldest)
-            return self._copy(first, lost=first - min(cursor, first))
+            return self._copy(first, self._count, lost=first - min(cursor, first))
 
     def window(self, start_s: float, end_s: float) -> Samples:
         """Return a copy of the kept samples stamped ``start_s <= t <= end_s``."""
         with self._lock:
-            all_kept = self._copy(max(self._start, self._count - self.capacity), lost=0)
-        lo = int(np.searchsorted(all_kept.t_s, start_s, side="left"))
-        hi = int(np.searchsorted(all_kept.t_s, end_s, side="right"))
-        return Samples(all_kept.t_s[lo:hi], all_kept.values[lo:hi], all_kept.cursor, 0)
+            # Searched in place: a copy of a full ring first would take milliseconds.
+            kept = range(max(self._start, self._count - self.capacity), self._count)
+            first = kept.start + bisect_left(kept, start_s, key=self._stamp)
+            end = kept.start + bisect_right(kept, end_s, key=self._stamp)
+            return self._copy(first, max(first, end), lost=0)
 
     def latest(self, now_s: float, max_age_s: float) -> tuple[float, FloatArray]:
         """Return (t_s, values) of the newest sample; raises ``StaleSampleError``."""
@@ -144,6 +146,10 @@ class SampleStream:
         with self._lock:
             self._start = self._count
 
-    def _copy(self, first: int, *, lost: int) -> Samples:
-        index = np.arange(first, self._count) % self.capacity
-        return Samples(self._t_s[index].copy(), self._values[index].copy(), self._count, lost)
+    def _stamp(self, number: int) -> float:
+        return float(self._t_s[number % self.capacity])
+
+    def _copy(self, first: int, end: int, *, lost: int) -> Samples:
+        """Copy the samples from number ``first`` up to ``end`` (an index array always copies)."""
+        index = np.arange(first, end) % self.capacity
+        return Samples(self._t_s[index], self._values[index], self._count, lost)

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import torch
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from safetensors import SafetensorError
-from safetensors.torch import load as load_tensors
-from safetensors.torch import save as save_tensors
-from torch import Tensor
+from safetensors.numpy import load as load_arrays
+from safetensors.numpy import save as save_arrays
 
 from backend.config.method import SAMPLES_PER_PROBE
 from backend.core.faults import InputError
 from backend.core.files import write_atomically
 from backend.learning.features import VECTOR_ORDER, Modality, columns
-from backend.learning.model import ARCHITECTURES, PatchNet, Shape, expected_tensors
+from backend.learning.shape import ARCHITECTURES, Shape, expected_arrays
 
 MAX_WEIGHT_BYTES = 100_000_000
 MAX_CARD_BYTES = 1_000_000
@@ -68,9 +69,9 @@ class Card(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """A loaded model, ready to use (evaluation mode), and its card."""
+    """A loaded model: its weights by name, as ``shape.expected_arrays`` lists them; its card."""
 
-    model: PatchNet
+    arrays: Mapping[str, NDArray[np.float32]]
     card: Card
 
 
@@ -79,10 +80,9 @@ def card_path(path: Path) -> Path:
     return path.with_suffix(".json")
 
 
-def save_checkpoint(path: Path, model: PatchNet, card: Card) -> Card:
+def save_checkpoint(path: Path, arrays: Mapping[str, NDArray[np.float32]], card: Card) -> Card:
     """Write weights and card; returns the card with the weights' hash."""
-    tensors = {name: tensor.contiguous() for name, tensor in model.state_dict().items()}
-    content = save_tensors(tensors)
+    content = save_arrays({name: np.ascontiguousarray(array) for name, array in arrays.items()})
     sealed = card.model_copy(update={"weights_sha256": hashlib.sha256(content).hexdigest()})
     write_atomically(path, content)
     save_card(path, sealed)
@@ -107,14 +107,9 @@ def load_checkpoint(path: Path) -> Checkpoint:
     card = load_card(path)
     if hashlib.sha256(content).hexdigest() != card.weights_sha256:
         raise _bad(path, "The weights are damaged or not those of their card (SHA-256 differs)")
-    shape = Shape(**card.hyper.model_dump())
-    tensors = parse_tensors(content, path)
-    _check_tensors(tensors, shape, path)
-    with torch.device("meta"):
-        model = PatchNet(shape)
-    model.load_state_dict(tensors, strict=True, assign=True)
-    model.requires_grad_(False)
-    return Checkpoint(model.eval(), card)
+    arrays = parse_arrays(content, path)
+    _check_arrays(arrays, Shape(**card.hyper.model_dump()), path)
+    return Checkpoint(arrays, card)
 
 
 def load_card(path: Path) -> Card:
@@ -141,28 +136,27 @@ def load_card(path: Path) -> Card:
     return card
 
 
-def parse_tensors(content: bytes, path: Path) -> dict[str, Tensor]:
+def parse_arrays(content: bytes, path: Path) -> dict[str, NDArray[np.float32]]:
     """Parse safetensors bytes; raises ``InputError`` naming ``path``."""
     try:
-        return load_tensors(content)
+        return load_arrays(content)
     except (SafetensorError, ValueError, KeyError) as error:
         raise _bad(path, f"The file is not a complete safetensors file ({error})") from error
 
 
-def _check_tensors(tensors: dict[str, Tensor], shape: Shape, path: Path) -> None:
-    expected = expected_tensors(shape)
-    if set(tensors) != set(expected):
-        odd = ", ".join(sorted(set(tensors) ^ set(expected)))
+def _check_arrays(arrays: dict[str, NDArray[np.float32]], shape: Shape, path: Path) -> None:
+    expected = expected_arrays(shape)
+    if set(arrays) != set(expected):
+        odd = ", ".join(sorted(set(arrays) ^ set(expected)))
         raise _bad(path, f"Missing or unexpected tensors: {odd}")
-    for name, tensor in tensors.items():
-        if tuple(tensor.shape) != expected[name]:
-            found = tuple(tensor.shape)
-            raise _bad(path, f"Tensor '{name}' has shape {found}, not {expected[name]}")
-        if tensor.dtype != torch.float32:
-            raise _bad(path, f"Tensor '{name}' is {tensor.dtype}, not float32")
-        if not torch.isfinite(tensor).all():
+    for name, array in arrays.items():
+        if array.shape != expected[name]:
+            raise _bad(path, f"Tensor '{name}' has shape {array.shape}, not {expected[name]}")
+        if array.dtype != np.float32:
+            raise _bad(path, f"Tensor '{name}' is {array.dtype}, not float32")
+        if not np.isfinite(array).all():
             raise _bad(path, f"Tensor '{name}' holds values that are not finite")
-    if not (tensors["scale"] > 0).all():
+    if not (arrays["scale"] > 0).all():
         raise _bad(path, "Tensor 'scale' holds values that are not positive")
 
 

@@ -10,6 +10,7 @@ from backend.dataset.rows import TrainingRows
 from backend.learning.checkpoint import Checkpoint
 from backend.learning.features import columns
 from backend.learning.metrics import Scores, score
+from backend.learning.model import network
 from backend.learning.training import predict
 
 ALL = "all"
@@ -37,7 +38,7 @@ def evaluate(
             "points",
             "Simulate the episodes again with the present catalogue.",
         )
-    probability = predict(checkpoint.model, rows.observation, columns(card.modality))
+    probability = predict(network(checkpoint), rows.observation, columns(card.modality))
     bottoms = np.array(rows.bottom)
     scores = {
         name: score(probability[bottoms == name], rows.patch[bottoms == name], points_mm, delta)

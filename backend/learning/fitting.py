@@ -16,8 +16,8 @@ from backend.core.faults import InputError
 from backend.dataset.rows import TrainingRows, load_rows
 from backend.learning.checkpoint import Card, Sizes, save_checkpoint
 from backend.learning.job import Cancelled, Epoch, Finished, Loaded, TrainingJob
-from backend.learning.model import ARCH
 from backend.learning.resume import forget_state, load_state, resume_path, save_state
+from backend.learning.shape import ARCH
 from backend.learning.training import Trainer, fingerprint
 
 DIVERGED_NATS = 2 * math.log(2)
@@ -57,7 +57,7 @@ def fit(job: TrainingJob, tell: Tell, cancelled: Callable[[], bool]) -> None:
             "learning_rate",
             "Choose a smaller --learning-rate.",
         )
-    card = save_checkpoint(job.out, trainer.best_model(), _card(rows, trainer, data))
+    card = save_checkpoint(job.out, trainer.best_model().arrays(), _card(rows, trainer, data))
     forget_state(state)
     best = trainer.best_figures
     tell(

@@ -2,32 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 from typing import cast
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from backend.learning.checkpoint import Checkpoint
 from backend.learning.features import Normaliser
-
-ARCH = "lstm-last-linear/1"
-ARCHITECTURES = (ARCH,)
-"""Allow-list: a checkpoint names one of these words, never something to import."""
-
-
-@dataclass(frozen=True, slots=True)
-class Shape:
-    """Sizes that define the network: ``inputs`` channels, ``points`` outputs."""
-
-    inputs: int
-    hidden: int
-    layers: int
-    points: int
-
-    def as_json(self) -> dict[str, int]:
-        """Return the sizes by name."""
-        return asdict(self)
+from backend.learning.shape import Shape
 
 
 class PatchNet(nn.Module):
@@ -49,6 +33,10 @@ class PatchNet(nn.Module):
         self.mean.copy_(torch.from_numpy(normaliser.mean))
         self.scale.copy_(torch.from_numpy(normaliser.scale))
 
+    def arrays(self) -> dict[str, NDArray[np.float32]]:
+        """Return the weights by name, as a checkpoint keeps them."""
+        return {name: tensor.numpy(force=True) for name, tensor in self.state_dict().items()}
+
     def forward(self, observation: Tensor) -> Tensor:
         """Return logits (B, points)."""
         states, _ = self.lstm((observation - self.mean) / self.scale)
@@ -62,8 +50,11 @@ def new_model(shape: Shape, seed: int) -> PatchNet:
         return PatchNet(shape)
 
 
-def expected_tensors(shape: Shape) -> Mapping[str, tuple[int, ...]]:
-    """Return name and shape of every tensor that a checkpoint of ``shape`` must hold."""
+def network(checkpoint: Checkpoint) -> PatchNet:
+    """Return the network of a loaded model, ready to use (evaluation mode)."""
     with torch.device("meta"):
-        model = PatchNet(shape)
-    return {name: tuple(tensor.shape) for name, tensor in model.state_dict().items()}
+        model = PatchNet(Shape(**checkpoint.card.hyper.model_dump()))
+    tensors = {name: torch.from_numpy(array.copy()) for name, array in checkpoint.arrays.items()}
+    model.load_state_dict(tensors, strict=True, assign=True)
+    model.requires_grad_(False)
+    return model.eval()

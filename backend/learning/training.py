@@ -18,7 +18,8 @@ from backend.dataset.rows import TrainingRows
 from backend.dataset.splits import Split, split_rows
 from backend.learning.features import columns, fit_normaliser
 from backend.learning.metrics import LEVEL, iou, point_accuracy
-from backend.learning.model import PatchNet, Shape, new_model
+from backend.learning.model import PatchNet, new_model
+from backend.learning.shape import Shape
 
 
 @dataclass(frozen=True, slots=True)

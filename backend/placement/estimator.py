@@ -5,49 +5,53 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from backend.config.method import SAMPLES_PER_PROBE
+from backend.config.method import EARLY_TICKS, SAMPLES_PER_PROBE
 from backend.core.faults import InputError
 from backend.core.flow import CHANNELS, ContactPatch, Episode, FloatArray
 from backend.learning.checkpoint import Card, Checkpoint, load_checkpoint
 from backend.learning.features import columns
+from backend.learning.forward import PatchForward, State
+from backend.learning.shape import Shape
 from backend.objects.catalogue import Piece
 from backend.objects.surface import face_points
 
 
 class Estimator:
-    """Estimates patches of one piece on one thread; every call takes a few milliseconds."""
+    """Estimates patches of one piece on one thread.
 
-    def __init__(self, checkpoint: Checkpoint, points_mm: FloatArray, where: str) -> None:
-        self._model, self.card = checkpoint.model, checkpoint.card
-        self._points_mm, self._where = points_mm, where
+    The network reads a probe tick by tick, and all ticks but the last are there a while before
+    the last: ``prepare`` works through them, so that ``estimate`` has one tick left to do.
+    """
+
+    def __init__(self, checkpoint: Checkpoint, points_mm: FloatArray) -> None:
+        self.card = checkpoint.card
+        shape = Shape(**self.card.hyper.model_dump())
+        self._network = PatchForward(checkpoint.arrays, shape)
+        self._points_mm = points_mm
         self._columns = columns(self.card.modality)
+        self._prepared: tuple[NDArray[np.float32], State] | None = None
 
     @classmethod
     def load(cls, path: Path, piece: Piece) -> Estimator:
-        """Load and check the model ``path`` for ``piece``; raises ``InputError`` naming the file.
-
-        Torch is limited to one thread: two cost more than they bring at this size.
-        """
+        """Load and check the model ``path`` of ``piece``; raises ``InputError`` naming the file."""
         checkpoint = load_checkpoint(path)
         points = face_points(piece.face)
         _check_fit(checkpoint.card, piece, len(points), str(path))
-        torch.set_num_threads(1)
-        estimator = cls(checkpoint, points, str(path))
-        estimator.warm_up()
-        return estimator
+        return cls(checkpoint, points)
 
     @property
     def base_rate(self) -> float:
         """Share of contact points in the training data."""
         return self.card.base_rate
 
-    def warm_up(self) -> None:
-        """Let the first call pay for nothing: torch sets up its kernels on first use."""
-        for _ in range(2):
-            self._probability(np.zeros((SAMPLES_PER_PROBE, CHANNELS), np.float32))
+    def prepare(self, early: NDArray[np.float32]) -> None:
+        """Work through the first ticks, (19, 258), of the probe that will be estimated next.
+
+        Never changes an estimate: ticks that turn out otherwise are worked through again.
+        """
+        self._prepared = early, self._after(early)
 
     def estimate(self, episode: Episode) -> ContactPatch:
         """Return the contact probability of every face point.
@@ -79,10 +83,17 @@ class Estimator:
         return ContactPatch(self._points_mm.copy(), self._probability(observation))
 
     def _probability(self, observation: NDArray[np.float32]) -> FloatArray:
-        part = np.array(observation[None, :, self._columns], dtype=np.float32, order="C")
-        with torch.inference_mode():
-            logits = self._model(torch.from_numpy(part))[0]
-            return torch.sigmoid(logits.double()).numpy()
+        early, last = observation[:EARLY_TICKS], observation[EARLY_TICKS:]
+        if self._prepared is not None and np.array_equal(self._prepared[0], early):
+            state = self._prepared[1]
+        else:
+            state = self._after(early)
+        logits = self._network.logits(self._network.run(last[:, self._columns], state))
+        # A sigmoid that cannot overflow.
+        return np.asarray(0.5 + 0.5 * np.tanh(0.5 * logits.astype(np.float64)))
+
+    def _after(self, early: NDArray[np.float32]) -> State:
+        return self._network.run(early[:, self._columns], self._network.start)
 
 
 def _check_fit(card: Card, piece: Piece, points: int, where: str) -> None:

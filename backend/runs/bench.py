@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from backend.config.method import StackSettings
 from backend.core.flow import ContactPatch, Episode, Fall
 from backend.devices.guarded import GuardedArm, GuardedGripper
@@ -23,8 +26,8 @@ class Estimate(Protocol):
     def base_rate(self) -> float | None:
         """Share of contact points in its training data, for the prior correction."""
 
-    def warm_up(self) -> None:
-        """Make the next estimate quick; changes nothing else."""
+    def prepare(self, early: NDArray[np.float32]) -> None:
+        """Take the first ticks of the probe in progress, so that its estimate is quick."""
 
     def estimate(self, episode: Episode) -> ContactPatch:
         """Return the contact patch of one episode."""

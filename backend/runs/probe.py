@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from backend.config.method import SAMPLES_PER_PROBE, TICK_S
+from backend.config.method import EARLY_TICKS, SAMPLES_PER_PROBE, TICK_S
 from backend.core.facts import PhaseEntered, Said
 from backend.core.faults import Fault, FaultError
 from backend.devices.protocols import PressCommand
@@ -13,13 +13,14 @@ from backend.runs.judged import Felt
 from backend.runs.motions import lift, zero_sensors
 from backend.runs.plan import Plan, Waiting
 from backend.sensing.episode import assemble
+from backend.sensing.synchroniser import synchronise
 
 BEFORE_ONSET_S = 0.3
 AFTER_LAST_TICK_S = 0.08
 """The frame after the last tick must have arrived (25 Hz plus jitter)."""
-WARM_S = 0.02
-"""The estimator runs on nothing this long before it is needed: with its weights at hand the
-estimate takes 3.3 ms instead of 4.1 (median)."""
+EARLY_S = 0.06
+"""This long before the end the estimator gets all ticks but the last: the frame after the last but
+one is then as late as the end waits for."""
 
 
 def press_command(bench: Bench) -> PressCommand:
@@ -61,8 +62,9 @@ def press_once(bench: Bench, probe: int) -> Plan[Felt]:
         )
     yield PhaseEntered(bench.now_s(), "hold", probe)
     end_s = onset_s + SAMPLES_PER_PROBE * TICK_S + AFTER_LAST_TICK_S
-    yield Waiting(lambda: bench.now_s() >= end_s - WARM_S, 5.0, "the last ticks")
-    bench.estimator.warm_up()
+    yield Waiting(lambda: bench.now_s() >= end_s - EARLY_S, 5.0, "the last ticks")
+    so_far = bench.sensing.recording(onset_s - BEFORE_ONSET_S, bench.now_s())
+    bench.estimator.prepare(synchronise(so_far, onset_s).observation()[:EARLY_TICKS])
     yield Waiting(lambda: bench.now_s() >= end_s, 5.0, "the last frames")
     sampled_s = bench.wall_s()
     episode = assemble(

@@ -30,8 +30,8 @@ class KnowsTheBottom:
         self._points = face_points(piece.face)
         self.card = SimpleNamespace(piece=piece.name, weights_sha256="0" * 64)
 
-    def warm_up(self):
-        """Nothing to warm."""
+    def prepare(self, early):
+        """Nothing to prepare."""
 
     def estimate(self, episode):
         inside = BOTTOM_RADIUS_MM - np.hypot(*(self._points + episode.offset_mm).T)

@@ -5,9 +5,10 @@ import json
 import struct
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
-from safetensors.torch import save_file
+from safetensors.numpy import save_file
 
 from backend.core.faults import InputError
 from backend.learning.checkpoint import (
@@ -15,10 +16,11 @@ from backend.learning.checkpoint import (
     Sizes,
     card_path,
     load_checkpoint,
-    parse_tensors,
+    parse_arrays,
     save_checkpoint,
 )
-from backend.learning.model import ARCH, Shape, new_model
+from backend.learning.model import network, new_model
+from backend.learning.shape import ARCH, Shape, expected_arrays
 
 
 @pytest.fixture
@@ -30,7 +32,7 @@ def path(tmp_path: Path) -> Path:
         piece="pot", geometry="ab" * 32, base_rate=0.3, seed=4, program_version="0.1.0",
         weights_sha256="",
     )  # fmt: skip
-    save_checkpoint(path, model, card)
+    save_checkpoint(path, model.arrays(), card)
     return path
 
 
@@ -56,9 +58,16 @@ def test_a_model_comes_back_exactly(path: Path) -> None:
     loaded = load_checkpoint(path)
     expected = new_model(Shape(6, 8, 2, 5), 4)
     x = torch.randn(3, 20, 6)
-    assert torch.equal(loaded.model(x), expected(x))
-    assert not loaded.model.training
+    model = network(loaded)
+    assert torch.equal(model(x), expected(x))
+    assert not model.training
     assert loaded.card.weights_sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@pytest.mark.parametrize("shape", [Shape(6, 8, 2, 5), Shape(258, 16, 1, 3), Shape(252, 4, 3, 1)])
+def test_the_expected_arrays_are_those_of_the_network(shape: Shape) -> None:
+    arrays = new_model(shape, 0).arrays()
+    assert {name: array.shape for name, array in arrays.items()} == expected_arrays(shape)
 
 
 def test_a_pickled_model_is_refused_and_never_run(path: Path, tmp_path: Path) -> None:
@@ -94,20 +103,20 @@ def test_a_flipped_bit_is_refused(path: Path) -> None:
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 @pytest.mark.parametrize("name", ["lstm.weight_hh_l1", "head.bias", "mean"])
 def test_weights_that_are_not_finite_are_refused(path: Path, name: str, value: float) -> None:
-    tensors = parse_tensors(path.read_bytes(), path)
-    tensors[name].view(-1)[0] = value
+    tensors = parse_arrays(path.read_bytes(), path)
+    tensors[name].reshape(-1)[0] = value
     save_file(tensors, path)
     reseal(path)
     refused(path, f"'{name}' holds values that are not finite")
 
 
 def test_other_tensors_are_refused(path: Path) -> None:
-    good = parse_tensors(path.read_bytes(), path)
+    good = parse_arrays(path.read_bytes(), path)
     cases = {
-        "head.bias": ({**good, "head.bias": torch.zeros(6)}, "shape"),
-        "half": ({**good, "head.bias": torch.zeros(5, dtype=torch.float16)}, "float32"),
-        "extra": ({**good, "extra": torch.zeros(1)}, "unexpected tensors: extra"),
-        "scale": ({**good, "scale": torch.zeros(6)}, "not positive"),
+        "head.bias": ({**good, "head.bias": np.zeros(6, np.float32)}, "shape"),
+        "half": ({**good, "head.bias": np.zeros(5, np.float16)}, "float32"),
+        "extra": ({**good, "extra": np.zeros(1, np.float32)}, "unexpected tensors: extra"),
+        "scale": ({**good, "scale": np.zeros(6, np.float32)}, "not positive"),
         "less": ({k: v for k, v in good.items() if k != "mean"}, "Missing .* mean"),
     }
     for tensors, words in cases.values():
@@ -148,4 +157,4 @@ def test_safetensors_vector_of_the_format() -> None:
         + bytes.fromhex("0000803f00000040")
     )
     assert len(content) == 96
-    assert parse_tensors(content, Path("vector"))["w"].tolist() == [1.0, 2.0]
+    assert parse_arrays(content, Path("vector"))["w"].tolist() == [1.0, 2.0]

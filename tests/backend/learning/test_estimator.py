@@ -11,7 +11,8 @@ from backend.core.faults import InputError
 from backend.core.flow import Episode, EpisodeQuality
 from backend.learning.checkpoint import Card, Sizes, save_checkpoint
 from backend.learning.features import Modality, columns
-from backend.learning.model import ARCH, Shape, new_model
+from backend.learning.model import new_model
+from backend.learning.shape import ARCH, Shape
 from backend.objects.catalogue import Piece, load_catalogue
 from backend.objects.surface import face_points
 from backend.placement.estimator import Estimator
@@ -31,7 +32,7 @@ def write_model(path: Path, of: Piece, modality: Modality = "FT+Tac", **card: ob
         "hyper": Sizes(inputs=inputs, hidden=256, layers=2, points=points), "base_rate": 0.3,
         "seed": 9, "program_version": "0", "weights_sha256": "",
     }  # fmt: skip
-    save_checkpoint(path, model, Card.model_validate(fields | card))
+    save_checkpoint(path, model.arrays(), Card.model_validate(fields | card))
     return path
 
 
@@ -52,6 +53,34 @@ def test_equals_the_network_on_the_channels_of_its_modality(
     assert estimator.estimate(episode(observation)).probability.tolist() == (
         patch.probability.tolist()
     )
+
+
+def test_preparing_never_changes_an_estimate(tmp_path: Path, pot: Piece) -> None:
+    path = write_model(tmp_path / "m.safetensors", pot)
+    probes = np.random.default_rng(4).normal(size=(3, 20, 258)).astype(np.float32)
+    plain = [Estimator.load(path, pot).estimate(episode(rows)).probability for rows in probes]
+    estimator = Estimator.load(path, pot)
+    estimator.prepare(probes[0][:19])
+    for rows, expected in zip(probes, plain, strict=True):
+        # Bit for bit, prepared for this probe, for another, or with one value corrected since.
+        assert np.array_equal(estimator.estimate(episode(rows)).probability, expected)
+        estimator.prepare(rows[:19])
+        assert np.array_equal(estimator.estimate(episode(rows)).probability, expected)
+    corrected = probes[2].copy()
+    corrected[18, 257] += 1.0
+    changed = estimator.estimate(episode(corrected)).probability
+    assert not np.array_equal(changed, plain[2])
+    assert np.array_equal(
+        changed, Estimator.load(path, pot).estimate(episode(corrected)).probability
+    )
+
+
+def test_early_ticks_that_are_missing_do_no_harm(tmp_path: Path, pot: Piece) -> None:
+    estimator = Estimator.load(write_model(tmp_path / "m.safetensors", pot), pot)
+    rows = np.zeros((20, 258), np.float32)
+    expected = estimator.estimate(episode(rows)).probability
+    estimator.prepare(np.full((19, 258), np.nan, np.float32))
+    assert np.array_equal(estimator.estimate(episode(rows)).probability, expected)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])

@@ -18,8 +18,9 @@ from backend.learning.features import (
     columns,
     fit_normaliser,
 )
-from backend.learning.model import Shape, new_model
+from backend.learning.model import new_model
 from backend.learning.resume import load_state, save_state
+from backend.learning.shape import Shape
 from backend.learning.training import Trainer, bce, fingerprint, predict
 
 

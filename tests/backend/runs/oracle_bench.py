@@ -33,8 +33,8 @@ class Oracle:
         self._bench, self._points = bench, face_points(piece.face)
         self.asked: list[Episode] = []
 
-    def warm_up(self) -> None:
-        """Nothing to warm."""
+    def prepare(self, early: np.ndarray) -> None:
+        """Nothing to prepare."""
 
     def estimate(self, episode: Episode) -> ContactPatch:
         assert np.isfinite(episode.observation).all()

@@ -66,6 +66,29 @@ def read_bytes(path: Path) -> bytes:
         return file.read(size)
 
 
+def read_first(path: Path) -> Contents:
+    """Return the first chunk and the metadata before it, without reading the rest of the file.
+
+    Enough for what a model is given; ends are not checked, the chunk's CRC is.
+    """
+    with explained(path), path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        if file.read(len(MAGIC)) != MAGIC:
+            raise ValueError("it is not an MCAP file")
+        group = Contents()
+        while not group.messages:
+            op, length = struct.unpack("<BQ", file.read(9))
+            if length > min(size - file.tell(), MAX_CHUNK_BYTES):
+                raise ValueError("the file ends inside a record")
+            content = memoryview(file.read(length))
+            if op == Op.METADATA:
+                name, values = read_metadata(content)
+                group.metadata[name] = values
+            elif op == Op.CHUNK:
+                _read_messages(open_chunk(content), group)
+        return group
+
+
 def read_whole(path: Path) -> Contents:
     """Return all metadata and messages of a file in one ``Contents``."""
     whole = Contents()

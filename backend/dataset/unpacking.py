@@ -52,16 +52,21 @@ def unpack_pose_mm(messages: Messages) -> FloatArray:
 
 def unpack_observation(messages: Messages) -> NDArray[np.float32]:
     """Return (n, channels); raises ``ValueError`` unless the steps count 0, 1, ... n - 1."""
-    rows = []
-    for index, message in enumerate(messages):
-        reader = CdrReader(message)
-        reader.header()
-        if reader.integer("I") != index:
-            raise ValueError("the steps of the observation are not in order")
-        rows.append(reader.sequence("<f4"))
-    if len({row.size for row in rows}) != 1:
-        raise ValueError("the observation has no rows, or rows of different length")
-    return np.stack(rows).astype(np.float32)
+    if not messages:
+        raise ValueError("the observation has no rows")
+    reader = CdrReader(messages[0])
+    reader.header()
+    reader.integer("I")
+    values = 4 * reader.sequence("<f4").size
+    # All rows are packed alike: step, number of values and values end every one of them.
+    rows = _stacked(messages)
+    heads = np.ascontiguousarray(rows[:, -values - 8 : rows.shape[1] - values]).view("<u4")
+    if not (heads[:, 1] == values // 4).all():
+        raise ValueError("the observation has rows of different length")
+    if not np.array_equal(heads[:, 0], np.arange(len(rows))):
+        raise ValueError("the steps of the observation are not in order")
+    floats = np.ascontiguousarray(rows[:, rows.shape[1] - values :]).view("<f4")
+    return np.asarray(floats, dtype=np.float32)
 
 
 def _by_marker(values: NDArray[np.generic]) -> FloatArray:

@@ -11,7 +11,7 @@ from backend.core.stream import SampleStream, Stream
 from backend.devices.interlock import Interlock
 from backend.devices.protocols import Device
 from backend.objects.catalogue import Catalogue
-from backend.runs.requests import RunStatus, StackRequest
+from backend.runs.requests import Request, RunStatus
 
 
 class EngineLink(Protocol):
@@ -53,7 +53,7 @@ class Link(Protocol):
     def status(self) -> RunStatus:
         """Return how the run stands."""
 
-    def start(self, request: StackRequest) -> None:
+    def start(self, request: Request) -> None:
         """Begin a run; raises ``RefusedError`` with the reason."""
 
     def stop(self) -> None:

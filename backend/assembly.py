@@ -22,8 +22,8 @@ from backend.objects.catalogue import Catalogue, Piece, load_catalogue
 from backend.objects.starts import draw_start
 from backend.objects.tower import Tower, judge
 from backend.placement.estimator import Estimator
-from backend.runs.bench import ReleaseVerdict
-from backend.runs.requests import StackRequest
+from backend.runs.bench import NoModel, ReleaseVerdict
+from backend.runs.requests import SceneChoice
 from backend.runs.stage import Stage
 from backend.sensing.live import RawStreams
 from backend.sensing.tare import gripper_payload
@@ -146,15 +146,14 @@ def _with_leaning(tower: Tower, piece: Piece, rng: np.random.Generator) -> Tower
     raise InputError(f"'{piece.name}' does not stand there.", "--bottom", "Choose another tower.")
 
 
-def make_scene(
-    catalogue: Catalogue, request: StackRequest, seed: int, settings: SimulationSettings
-) -> Scene:
-    """Return the scene of one trial: everything about it follows from ``seed``."""
+def make_scene(catalogue: Catalogue, choice: SceneChoice, settings: SimulationSettings) -> Scene:
+    """Return the scene of one trial: everything about it follows from the seed."""
+    seed = choice.seed
     if seed < 0:
         raise InputError(f"The seed {seed} is negative.", "--seed", "Give 0 or a positive number.")
-    piece = catalogue.top(request.piece)
+    piece = catalogue.top(choice.piece)
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 77])))
-    tower = make_tower(catalogue, request.bottoms, rng)
+    tower = make_tower(catalogue, choice.bottoms, rng)
     start = draw_start(rng, piece.body(), tower)
     return Scene(piece=piece, bottoms=tower, start_mm=start, seed=seed, settings=settings)
 
@@ -176,20 +175,20 @@ def simulated_session(
     ``InputError`` for bad settings.
     """
     choice = choice or SimulatedBenchChoice()
-    settings = choice.settings()
-    script = parse_script(choice.disturbances)
+    settings, disturbances = choice.settings(), choice.disturbances
+    script = parse_script(disturbances)
     catalogue = load_catalogue(choice.pieces)
     method = method or StackSettings()
     models: dict[tuple[Path, str], Estimator] = {}
 
-    def estimator(request: StackRequest, piece: Piece) -> Estimator:
-        path = Path(request.model) if request.model else shipped_model(request.piece)
+    def estimator(choice: SceneChoice, piece: Piece) -> Estimator:
+        path = Path(choice.model) if choice.model else shipped_model(choice.piece)
         if (path, piece.name) not in models:
             models[path, piece.name] = Estimator.load(path, piece)
         return models[path, piece.name]
 
-    def make_stage(request: StackRequest, seed: int, raw: RawStreams) -> Stage:
-        scene = make_scene(catalogue, request, seed, settings)
+    def make_stage(choice: SceneChoice, raw: RawStreams) -> Stage:
+        scene = make_scene(catalogue, choice, settings)
         bench = SimulatedBench(scene, script, BenchStreams(raw.frames, raw.samples, raw.poses))
         return Stage(
             clock=bench.clock,
@@ -197,20 +196,20 @@ def simulated_session(
             arm=bench.arm,
             gripper=bench.gripper,
             piece=scene.piece,
-            bottom="+".join(request.bottoms),
+            bottom="+".join(choice.bottoms),
             advance=bench.advance,
             scoring=SimulatedScoring(bench, method.policy.longest_step_mm, animate),
-            estimator=estimator(request, scene.piece),
+            estimator=estimator(choice, scene.piece) if choice.estimates else NoModel(),
             payload=gripper_payload(settings.wrist.payload_kg, settings.wrist.payload_com_mm),
         )
 
-    def check(request: StackRequest) -> Mapping[str, object]:
-        scene = make_scene(catalogue, request, request.seed, settings)
-        card = estimator(request, scene.piece).card
+    def check(choice: SceneChoice) -> Mapping[str, object]:
+        scene = make_scene(catalogue, choice, settings)
+        card = estimator(choice, scene.piece).card if choice.estimates else None
         return {
             "simulation": settings.model_dump(mode="json"),
-            "disturbances": list(choice.disturbances),
-            "model": {"piece": card.piece, "weights_sha256": card.weights_sha256},
+            "disturbances": list(disturbances),
+            "model": card and {"piece": card.piece, "weights_sha256": card.weights_sha256},
             "program": version("touchdown"),
         }
 

@@ -8,18 +8,17 @@ clock on one thread. Both give the same facts.
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Protocol
 
 from backend.config.method import StackSettings
-from backend.core.facts import Fact, FaultsReset
-from backend.core.faults import Fault, InputError, RefusedError
+from backend.core.facts import FaultsReset
+from backend.core.faults import RefusedError
 from backend.core.flow import FINGERS, Finger, MarkerField, TactileFrame
 from backend.core.hub import Hub
 from backend.core.stream import SampleStream, Stream
@@ -31,13 +30,15 @@ from backend.objects.catalogue import Catalogue
 from backend.runs.bench import Bench
 from backend.runs.engine import Engine
 from backend.runs.gate import Gate
-from backend.runs.journal import Journal
+from backend.runs.host import RunHost
 from backend.runs.plan import Plan
-from backend.runs.requests import RunStatus, StackRequest
+from backend.runs.plans import plan_of
+from backend.runs.recording import Keep, Recorder
+from backend.runs.requests import Request, RunStatus, SceneChoice
 from backend.runs.stage import Stage
-from backend.runs.store import RunStore
-from backend.runs.trials import RunHead, stack_run
 from backend.sensing.live import LiveSensing, RawStreams
+
+__all__ = ["Keep", "Session"]
 
 STEP_US = 20_000
 """The bench advances in steps of 20 ms: a cancel is seen within that time."""
@@ -48,23 +49,25 @@ FRAME_CAPACITY, SAMPLE_CAPACITY = 192, 60_000
 
 
 class MakeStage(Protocol):
-    """Builds the scene of one trial on the session's streams."""
+    """Builds a scene on the session's streams."""
 
-    def __call__(self, request: StackRequest, seed: int, raw: RawStreams) -> Stage:
+    def __call__(self, choice: SceneChoice, raw: RawStreams) -> Stage:
         """Return the stage; raises ``InputError`` for an unknown piece, bottom or model."""
 
 
-Check = Callable[[StackRequest], Mapping[str, object]]
-"""Raises ``InputError`` before anything is written or moved; else returns what the run depends on
-beside request and method, JSON-ready: bench settings, model, program."""
+Check = Callable[[SceneChoice], Mapping[str, object]]
+"""Raises ``InputError`` before anything is written or moved; else returns what a run on the scene
+depends on beside request and method, JSON-ready: bench settings, model, program."""
 
 
 @dataclass(frozen=True, slots=True)
-class Keep:
-    """Where runs are kept (None: nowhere), and whether episodes are kept beside the journal."""
+class _Scene:
+    """A stage with its sensing and its guarded devices."""
 
-    runs: Path | None = None
-    episodes: bool = True
+    stage: Stage
+    sensing: LiveSensing
+    arm: GuardedArm
+    gripper: GuardedGripper
 
 
 class Session:
@@ -81,7 +84,7 @@ class Session:
         simulated: bool,
     ) -> None:
         self._make_stage, self._check, self.catalogue = make_stage, check, catalogue
-        self._settings, self._keep, self.simulated = settings, keep, simulated
+        self._settings, self.simulated = settings, simulated
         self.hub, self.interlock, self.gate = Hub(), Interlock(), Gate()
         self.frames: Mapping[Finger, Stream[TactileFrame]] = {
             finger: Stream(f"tactile_{finger}", FRAME_CAPACITY) for finger in FINGERS
@@ -95,46 +98,48 @@ class Session:
         self._raw = RawStreams(self.frames, samples, poses)
         self._supervision = Supervision(self.interlock, self.wrench, self.frames)
         self.engine = Engine(self.hub, self.interlock, self.clock_s)
-        self._stage: Stage | None = None
-        self._sensing: LiveSensing | None = None
-        self._store: RunStore | None = None
-        self._journal: Journal | None = None
-        self._leave: Callable[[], None] | None = None
+        mode = "live simulation" if simulated else "lab"
+        self._recorder = Recorder(keep, self.hub, self.interlock, mode)
+        self._scene: _Scene | None = None
         self._thread: threading.Thread | None = None
         self._closing = threading.Event()
         self._speed = 1.0
         self.pace = 0.0
         """Simulated seconds per wall second, measured while live."""
-        self.run_folder: Path | None = None
 
     # -- for the window and for scripts -----------------------------------------------------------
 
     @property
     def devices(self) -> Mapping[str, Device]:
         """The five devices of the present scene by name (empty before the first)."""
-        return {} if self._stage is None else self._stage.devices
+        return {} if self._scene is None else self._scene.stage.devices
+
+    @property
+    def run_folder(self) -> Path | None:
+        """Folder of the last run, None if it is not kept."""
+        return self._recorder.folder
 
     def clock_s(self) -> float:
         """Return the bench clock of the present scene."""
-        return 0.0 if self._stage is None else self._stage.clock.now_s()
+        return 0.0 if self._scene is None else self._scene.stage.clock.now_s()
 
     def status(self) -> RunStatus:
         """Return a snapshot of the engine."""
         return self.engine.status()
 
-    def start(self, request: StackRequest) -> None:
+    def start(self, request: Request) -> None:
         """Begin a run (live); raises ``RefusedError`` while another goes on or after STOP."""
         if self.engine.busy:
             raise RefusedError("BUSY", "A run is going on: cancel it first.")
         self.engine.begin(self._plan(request))
 
-    def run(self, request: StackRequest) -> None:
+    def run(self, request: Request) -> None:
         """Run to the end on this thread, as fast as it computes. Raises what ended it early."""
         plan = self._plan(request)
         try:
             self.engine.run(plan, self.advance)
         finally:
-            self._end_run()
+            self._recorder.close()
 
     def stop(self) -> None:
         """STOP: latch, halt arm and gripper, end the run. Legal always; returns at once."""
@@ -149,19 +154,19 @@ class Session:
         """Approve or decline the action that waits."""
         self.gate.answer(yes)
 
-    def prepare(self, request: StackRequest) -> None:
+    def prepare(self, choice: SceneChoice) -> None:
         """Set a scene without starting a run, so that a live view has something to show."""
-        self._set_stage(request, request.seed)
+        self._set_scene(choice)
 
     # -- time -------------------------------------------------------------------------------------
 
     def advance(self) -> None:
         """Move the bench by one step and process what the sensors delivered."""
-        if self._stage is None or self._sensing is None:
+        if self._scene is None:
             return
-        self._stage.advance(STEP_US)
-        self._sensing.update()
-        self._supervision.check(self._stage.clock.now_s())
+        self._scene.stage.advance(STEP_US)
+        self._scene.sensing.update()
+        self._supervision.check(self.clock_s())
 
     def open(self, speed: float = 1.0) -> None:
         """Start the live thread; ``speed`` simulated seconds per wall second."""
@@ -180,7 +185,7 @@ class Session:
             self.engine.wait_idle(2.0)
             self._closing.set()
             thread.join(5.0)
-        self._end_run()
+        self._recorder.close()
 
     def _live(self) -> None:
         try:
@@ -196,7 +201,7 @@ class Session:
         while not self._closing.is_set():
             self.engine.tick()
             if not self.engine.busy:
-                self._end_run()
+                self._recorder.close()
             self.advance()
             steps += 1
             due_s += STEP_US * 1e-6 / self._speed
@@ -210,55 +215,48 @@ class Session:
 
     # -- inside -----------------------------------------------------------------------------------
 
-    def _plan(self, request: StackRequest) -> Plan[None]:
+    def _plan(self, request: Request) -> Plan[None]:
         run_id = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")[:-3]
-        settings = self._settings.model_copy(
-            update={"strategy": request.strategy, "mode": request.mode}
+        host = RunHost(
+            run_id=run_id,
+            simulated=self.simulated,
+            method=self._settings,
+            check=self._check,
+            open=lambda: self._recorder.open(run_id),
+            set_scene=lambda choice, method: self._bench(self._set_scene(choice), method),
+            present=self._present,
         )
+        return plan_of(request, host)
 
-        def prepare(trial: int) -> Bench:
-            return self._begin_trial(request, settings, trial)
+    def _present(self, method: StackSettings) -> Bench:
+        if self._scene is None:
+            raise RefusedError("NO-SCENE", "Nothing is set up on the bench yet.")
+        return self._bench(self._scene, method)
 
-        def plan() -> Plan[None]:
-            record = {
-                "request": asdict(request),
-                "method": settings.model_dump(mode="json"),
-                **self._check(request),
-            }
-            head = RunHead(run_id, self.simulated, json.dumps(record))
-            self._open_run(run_id)
-            return (yield from stack_run(prepare, request, head))
-
-        return plan()
-
-    def _begin_trial(self, request: StackRequest, settings: StackSettings, trial: int) -> Bench:
-        stage, sensing = self._set_stage(request, request.seed + trial)
-        assert self._store is not None
+    def _bench(self, scene: _Scene, method: StackSettings) -> Bench:
+        """Return the bench of a plan on ``scene``."""
+        stage = scene.stage
         now_s = stage.clock.now_s
-        self.interlock.untested_release = self.simulated and request.strategy == "pick-and-place"
+        self.interlock.untested_release = self.simulated and method.strategy == "pick-and-place"
         self.interlock.renew_lease(now_s())
-
-        def press_n() -> float:
-            return sensing.press_n(now_s(), max_age_s=0.2)
-
         return Bench(
             now_s=now_s,
-            arm=GuardedArm(stage.arm, self.interlock, now_s, press_n),
-            gripper=GuardedGripper(stage.gripper, self.interlock, now_s),
+            arm=scene.arm,
+            gripper=scene.gripper,
             interlock=self.interlock,
-            sensing=sensing,
+            sensing=scene.sensing,
             estimator=stage.estimator,
             piece=stage.piece,
             bottom=stage.bottom,
-            store=self._store,
+            store=self._recorder.store,
             gate=self.gate,
-            settings=settings,
+            settings=method,
             scoring=stage.scoring,
             wall_s=time.perf_counter,
             probe_count=lambda: self.engine.status().probe,
         )
 
-    def _set_stage(self, request: StackRequest, seed: int) -> tuple[Stage, LiveSensing]:
+    def _set_scene(self, choice: SceneChoice) -> _Scene:
         """Build the scene, clear the streams, connect the devices, and let the sensors start."""
         self.interlock.forget_stoppers()
         for finger in FINGERS:
@@ -266,64 +264,18 @@ class Session:
             self.fields[finger].clear()
         for samples in (self._raw.samples, self._raw.poses, self.wrench):
             samples.clear()
-        stage = self._make_stage(request, seed, self._raw)
+        stage = self._make_stage(choice, self._raw)
         sensing = LiveSensing(self._raw, self.fields, self.wrench, stage.payload)
         cancel = threading.Event()
         for device in stage.devices.values():
             device.connect(5.0, cancel)
-        self._stage, self._sensing = stage, sensing
-        self._supervision.begin(stage.clock.now_s())
-        return stage, sensing
+        now_s = stage.clock.now_s
 
-    def _open_run(self, run_id: str) -> None:
-        self._end_run()
-        folder = None if self._keep.runs is None else self._keep.runs / run_id
-        episodes = None
-        if folder is not None:
-            self._journal = _new_journal(folder)
-            self._leave = self.hub.subscribe(self._record)
-            episodes = folder / "episodes" if self._keep.episodes else None
-        self.run_folder = folder
-        mode = "live simulation" if self.simulated else "lab"
-        self._store = RunStore(episodes, {"run": run_id, "mode": mode})
+        def press_n() -> float:
+            return sensing.press_n(now_s(), max_age_s=0.2)
 
-    def _record(self, fact: Fact) -> None:
-        """Append ``fact`` to the journal; a disk that refuses stops the run with a fault."""
-        if self._journal is None:
-            return
-        try:
-            self._journal(fact)
-        except OSError as error:
-            journal, self._journal = self._journal, None
-            journal.abandon()
-            self.interlock.raise_fault(
-                Fault(
-                    "JOURNAL-FAILED",
-                    f"The run journal cannot be written: {error.strerror or error}.",
-                    "The run ends; every fact up to here is on disk, the gripper was not opened.",
-                    f"Make room on the disk of {journal.folder}, then press Reset.",
-                    "store",
-                )
-            )
-
-    def _end_run(self) -> None:
-        """Close journal and store of the last run, if any."""
-        if self._leave is not None:
-            self._leave()
-        if self._journal is not None:
-            self._journal.close()
-        if self._store is not None:
-            self._store.close()
-        self._leave = self._journal = self._store = None
-
-
-def _new_journal(folder: Path) -> Journal:
-    """Begin the journal of a run; raises ``InputError`` where the folder cannot be written."""
-    try:
-        return Journal(folder)
-    except OSError as error:
-        raise InputError(
-            f"The run cannot be kept: {error.strerror or error}.",
-            str(folder.parent),
-            "Name a folder that can be written (--runs, or TOUCHDOWN_DATA).",
-        ) from error
+        arm = GuardedArm(stage.arm, self.interlock, now_s, press_n)
+        gripper = GuardedGripper(stage.gripper, self.interlock, now_s)
+        self._scene = scene = _Scene(stage, sensing, arm, gripper)
+        self._supervision.begin(now_s())
+        return scene

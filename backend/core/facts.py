@@ -28,7 +28,10 @@ class Fact:
 
 @dataclass(frozen=True, slots=True)
 class RunStarted(Fact):
-    """A run began; ``settings`` is a JSON text of everything it depends on."""
+    """A run began; ``settings`` is a JSON text of everything it depends on.
+
+    ``activity`` is what was asked for: stack (with a ``strategy``), or another plan of the bench.
+    """
 
     run_id: str
     piece: str
@@ -38,6 +41,7 @@ class RunStarted(Fact):
     trials: int
     simulated: bool
     settings: str
+    activity: str = "stack"
 
 
 @dataclass(frozen=True, slots=True)

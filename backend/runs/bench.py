@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backend.config.method import StackSettings
+from backend.core.faults import InputError
 from backend.core.flow import ContactPatch, Episode, Fall
 from backend.devices.guarded import GuardedArm, GuardedGripper
 from backend.devices.interlock import Interlock
@@ -31,6 +32,21 @@ class Estimate(Protocol):
 
     def estimate(self, episode: Episode) -> ContactPatch:
         """Return the contact patch of one episode."""
+
+
+class NoModel:
+    """Stands in where a run needs no model, such as collecting the data that trains one."""
+
+    base_rate: float | None = None
+
+    def prepare(self, early: NDArray[np.float32]) -> None:
+        """Nothing to prepare."""
+
+    def estimate(self, episode: Episode) -> ContactPatch:
+        """Raise ``InputError``: there is nothing to estimate with."""
+        raise InputError(
+            f"No model of '{episode.piece}' is loaded.", "model", "Train one, or name one."
+        )
 
 
 class EpisodeStore(Protocol):

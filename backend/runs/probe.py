@@ -8,6 +8,7 @@ from backend.config.method import EARLY_TICKS, SAMPLES_PER_PROBE, TICK_S
 from backend.core.facts import PhaseEntered, Said
 from backend.core.faults import Fault, FaultError
 from backend.devices.protocols import PressCommand
+from backend.runs import words
 from backend.runs.bench import Bench
 from backend.runs.judged import Felt
 from backend.runs.motions import lift, zero_sensors
@@ -86,7 +87,7 @@ def probe_until_accepted(bench: Bench, probe: int, tries: int = 2) -> Plan[Felt]
         if felt.episode.quality.accepted:
             return felt
         reasons = "; ".join(felt.episode.quality.reasons)
-        yield Said(bench.now_s(), f"Probe {probe} is not an observation: {reasons}.")
+        yield Said(bench.now_s(), words.rejected(probe, felt.episode.quality.reasons))
         bench.store.keep(felt.episode)
         yield from lift(bench, probe)
         bench.store.settle()

@@ -6,10 +6,25 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Literal
 
+from backend.config.method import StackSettings
 from backend.core.flow import PlaceAction
 
 Strategy = Literal["paper", "pick-and-place"]
 Mode = Literal["auto", "approve", "step"]
+
+
+@dataclass(frozen=True, slots=True)
+class SceneChoice:
+    """What stands on the bench: ``piece`` above ``bottoms`` (bottom-up; the last one is touched).
+
+    ``model`` is a checkpoint file, None for the shipped one; without ``estimates`` none is loaded.
+    """
+
+    piece: str = "pot"
+    bottoms: tuple[str, ...] = ("short",)
+    seed: int = 0
+    model: str | None = None
+    estimates: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +41,23 @@ class StackRequest:
     strategy: Strategy = "paper"
     mode: Mode = "auto"
     model: str | None = None
+
+    def scene(self, trial: int = 0) -> SceneChoice:
+        """Return the scene of trial 0, 1, ..."""
+        return SceneChoice(self.piece, self.bottoms, self.seed + trial, self.model)
+
+    def method(self, base: StackSettings) -> StackSettings:
+        """Return the settings of this run, laid over those of the bench."""
+        return base.model_copy(update={"strategy": self.strategy, "mode": self.mode})
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeRequest:
+    """Probe once at the present place of the present scene; an empty gripper grips first."""
+
+
+Request = StackRequest | ProbeRequest
+"""Everything that a session can run; ``backend.runs.plans`` knows the plan of each."""
 
 
 class RunState(Enum):

@@ -37,6 +37,11 @@ def release(stands: bool, margin_mm: float) -> str:
     return f"The piece fell: its centre of mass was {-margin_mm:.1f} mm outside its support."
 
 
+def rejected(probe: int, reasons: tuple[str, ...]) -> str:
+    """Say why a probe is no observation."""
+    return f"Probe {probe} is not an observation: {'; '.join(reasons)}."
+
+
 def late(held_s: float) -> str:
     """Say that a verdict came too late to be acted on while pressed."""
     return f"The verdict took {held_s:.1f} s, too long to hold the press: lifted, probing again."

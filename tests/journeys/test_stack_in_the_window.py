@@ -14,7 +14,7 @@ from app.application import TouchdownApp
 from app.error_hooks import ErrorBox
 from backend.core.flow import ContactPatch, Outcome
 from backend.objects.surface import face_points
-from backend.runs.requests import RunState, StackRequest
+from backend.runs.requests import RunState, SceneChoice
 from backend.session import Keep
 from widgets.run_panel import RunForm
 
@@ -63,7 +63,7 @@ def desk(qapp, qtbot, tmp_path, monkeypatch):
     monkeypatch.setattr(assembly, "shipped_model", lambda name: Path(name))
     runs = tmp_path / "runs"
     session = assembly.simulated_session(keep=Keep(runs, episodes=False))
-    session.prepare(StackRequest())
+    session.prepare(SceneChoice())
     link = SteppedSession(session)
     main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", runs)
     main.attach(link)
@@ -95,36 +95,36 @@ def turn_until(main, link, done, most=1500):
 @pytest.mark.slow
 def test_stack_look_back_and_review(desk, qtbot, tmp_path):
     main, link = desk
-    main.page.run.show_form(RunForm(seed=7, trials=1))
-    main.page.run.start.click()
-    turn_until(main, link, lambda: main.stack.story.ended is not None)
-    assert main.stack.story.ended.ending == "finished"
-    assert main.stack.story.outcomes == (Outcome.PLACED,)
-    trial = main.stack.story.trial
+    main.workspaces["stack"].page.run.show_form(RunForm(seed=7, trials=1))
+    main.workspaces["stack"].page.run.start.click()
+    turn_until(main, link, lambda: main.workspaces["stack"].presenter.story.ended is not None)
+    assert main.workspaces["stack"].presenter.story.ended.ending == "finished"
+    assert main.workspaces["stack"].presenter.story.outcomes == (Outcome.PLACED,)
+    trial = main.workspaces["stack"].presenter.story.trial
     assert len(trial.probes) >= 2
-    assert main.page.score._count.text() == "1 of 1 placed"
-    assert "Placed" in main.page.decision._verdict.text()
-    truth = main.page.belief.scene.truth
+    assert main.workspaces["stack"].page.score._count.text() == "1 of 1 placed"
+    assert "Placed" in main.workspaces["stack"].page.decision._verdict.text()
+    truth = main.workspaces["stack"].page.belief.scene.truth
     assert truth is not None
-    assert main.page.tactile["left"].seen()[1] == 63
-    assert main.page.force.buckets.largest() > 4.0
+    assert main.workspaces["stack"].page.tactile["left"].seen()[1] == 63
+    assert main.workspaces["stack"].page.force.buckets.largest() > 4.0
     # The hull of the estimate lies over the true overlap: offsets of the map are understood.
     hull = trial.probes[-1].stability.hull_mm
     assert np.linalg.norm(hull.mean(axis=0) - truth.mean(axis=0)) < 2.5
     # Every run is kept and can be looked at again.
     main.actions.action("review").trigger()
-    main.review_page.runs.setCurrentRow(0)
-    assert main.review_page.trials.count() == 1
-    assert len(main.review_page.strip.thumbnails) == len(trial.probes)
-    reviewed = main.review.story.trial.probes[-1]
+    main.workspaces["review"].page.runs.setCurrentRow(0)
+    assert main.workspaces["review"].page.trials.count() == 1
+    assert len(main.workspaces["review"].page.strip.thumbnails) == len(trial.probes)
+    reviewed = main.workspaces["review"].presenter.story.trial.probes[-1]
     assert reviewed.stability.margin_mm == pytest.approx(trial.probes[-1].stability.margin_mm)
 
 
 @pytest.mark.slow
 def test_approve_then_stop_then_reset(desk, qtbot):
     main, link = desk
-    main.page.run.show_form(RunForm(seed=7, trials=1, mode="approve"))
-    main.page.run.start.click()
+    main.workspaces["stack"].page.run.show_form(RunForm(seed=7, trials=1, mode="approve"))
+    main.workspaces["stack"].page.run.start.click()
     turn_until(main, link, lambda: link.status().awaiting is not None)
     assert main.bar.pill.state.word == "YOUR TURN"
     probe = link.status().probe
@@ -133,9 +133,9 @@ def test_approve_then_stop_then_reset(desk, qtbot):
     QTest.keyClick(main.window.windowHandle(), Qt.Key.Key_Space)
     assert link.interlock.latched
     turn_until(main, link, lambda: link.status().state is RunState.IDLE)
-    assert main.stack.story.ended.ending == "stopped"
+    assert main.workspaces["stack"].presenter.story.ended.ending == "stopped"
     assert main.bar.pill.state.word == "STOPPED"
     main.cards.card("STOPPED")._act()
     turn_until(main, link, lambda: main.bar.pill.state.word == "READY")
-    assert main.page.run.start.isEnabled()
+    assert main.workspaces["stack"].page.run.start.isEnabled()
     assert main.cards.codes == ()

@@ -16,7 +16,7 @@ from backend.devices.sim.bench import BenchStreams, SimulatedBench
 from backend.objects.catalogue import Piece, load_catalogue
 from backend.objects.surface import face_points, true_patch
 from backend.runs.fact_codec import encode
-from backend.runs.requests import StackRequest
+from backend.runs.requests import SceneChoice, StackRequest
 from backend.runs.stage import Stage
 from backend.sensing.live import RawStreams
 from backend.sensing.tare import gripper_payload
@@ -70,8 +70,8 @@ class OracleSession:
         )
         self.session.hub.subscribe(self.facts.append)
 
-    def _make_stage(self, request: StackRequest, seed: int, raw: RawStreams) -> Stage:
-        scene = assembly.make_scene(self._catalogue, request, seed, self._settings)
+    def _make_stage(self, choice: SceneChoice, raw: RawStreams) -> Stage:
+        scene = assembly.make_scene(self._catalogue, choice, self._settings)
         streams = BenchStreams(raw.frames, raw.samples, raw.poses)
         bench = SimulatedBench(scene, self._script, streams)
         oracle = Oracle(bench, scene.piece)
@@ -84,7 +84,7 @@ class OracleSession:
             arm=bench.arm,
             gripper=bench.gripper,
             piece=scene.piece,
-            bottom="+".join(request.bottoms),
+            bottom="+".join(choice.bottoms),
             advance=bench.advance,
             scoring=assembly.SimulatedScoring(bench, 3.0, animate=False),
             estimator=oracle,

@@ -79,7 +79,7 @@ def test_equal_seeds_give_equal_bits_live_and_stepped() -> None:
     live = OracleSession()
     ended = threading.Event()
     live.session.hub.subscribe(lambda f: ended.set() if isinstance(f, RunFinished) else None)
-    live.session.prepare(request(seed=99))
+    live.session.prepare(request(seed=99).scene())
     live.session.open(speed=100.0)
     live.session.start(request(trials=1))
     assert ended.wait(90)

@@ -1,0 +1,16 @@
+"""Which plan each request means: the one table to extend for a new activity of the bench."""
+
+from __future__ import annotations
+
+from backend.runs.host import RunHost
+from backend.runs.plan import Plan
+from backend.runs.requests import ProbeRequest, Request
+from backend.runs.single_probe import probe_run
+from backend.runs.trials import stack_run
+
+
+def plan_of(request: Request, host: RunHost) -> Plan[None]:
+    """Return the plan of ``request``; nothing happens until it is driven."""
+    if isinstance(request, ProbeRequest):
+        return probe_run(host, request)
+    return stack_run(host, request)

@@ -1,0 +1,72 @@
+"""Jobs on a Dask cluster (optional extra ``cluster``): a local one, or any address."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from backend.core.faults import InputError
+from backend.jobs.running import JobResult, Kinds, run_job
+from backend.jobs.spec import JobSpec
+from backend.jobs.store import JobStore
+
+AHEAD = 2
+"""Jobs handed out per worker thread, so that none waits for the next."""
+
+
+class DaskCluster:
+    """Runs jobs through ``dask.distributed``; the store must lie where all workers reach it."""
+
+    def __init__(self, kinds: Kinds, store: JobStore, client: Any) -> None:
+        self._kinds, self._store, self._client = kinds, store, client
+        self._running: dict[Any, JobSpec] = {}
+
+    @classmethod
+    def at(cls, kinds: Kinds, store: JobStore, address: str) -> DaskCluster:
+        """Connect to the scheduler ``address`` (tcp://host:8786); raises ``InputError``."""
+        try:
+            from distributed import Client
+        except ImportError as error:
+            raise InputError(
+                "Dask is not installed.",
+                "--executor",
+                "Install the extra: pip install '.[cluster]'.",
+            ) from error
+        try:
+            return cls(kinds, store, Client(address, timeout="10s"))
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"No Dask scheduler answers: {error}.", address, "Check the address."
+            ) from error
+
+    def room(self) -> int:
+        """Return room for a few jobs per thread of the cluster."""
+        threads = sum(self._client.nthreads().values())
+        return AHEAD * max(1, threads) - len(self._running)
+
+    def submit(self, spec: JobSpec) -> None:
+        """Hand the job to the scheduler, which tries again when a worker dies."""
+        future = self._client.submit(
+            run_job, spec, self._kinds, self._store, key=f"{spec.kind}-{spec.id}", retries=2
+        )
+        self._running[future] = spec
+
+    def finished(self) -> list[JobResult]:
+        """Wait for at least one job."""
+        from distributed import wait
+
+        ended = wait(list(self._running), return_when="FIRST_COMPLETED").done
+        results = []
+        for future in ended:
+            spec = self._running.pop(future)
+            error = future.exception()
+            if error is None:
+                results.append(future.result())
+            else:
+                results.append(JobResult(spec.id, spec.kind, "failed", error=repr(error)))
+        return results
+
+    def close(self) -> None:
+        """Cancel what is under way and disconnect."""
+        self._client.cancel(list(self._running))
+        self._running.clear()
+        self._client.close()

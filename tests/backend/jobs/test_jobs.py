@@ -1,0 +1,165 @@
+"""Jobs: one name for one piece of work, results complete or not there, nothing done twice."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from backend.core.faults import InputError
+from backend.jobs.campaign import parse_shard, run_campaign, shard_of, startable
+from backend.jobs.executor import DEATHS, Executor, LocalPool, Serial
+from backend.jobs.running import JobResult, run_job
+from backend.jobs.spec import JobSpec
+from backend.jobs.store import RESULT, JobStore
+from tests.backend.jobs.sample_kinds import KINDS
+
+
+def draws(count: int) -> list[JobSpec]:
+    return [JobSpec("draw", {"n": 5}, seed) for seed in range(count)]
+
+
+def numbers(store: JobStore, specs: list[JobSpec]) -> list[float]:
+    return [float(store.result(spec.id)["sum"]) for spec in specs]
+
+
+def run(specs: list[JobSpec], executor: Executor, store: JobStore) -> dict[str, JobResult]:
+    return {result.id: result for result in run_campaign(specs, executor, store)}
+
+
+def test_the_name_of_the_reference_job() -> None:
+    spec = JobSpec("simulate", {"pair": ["Pot", "circle15"], "n": 50}, 7, (), "1.0.0")
+    assert spec.canonical() == (
+        '{"code":"1.0.0","inputs":[],"kind":"simulate",'
+        '"params":{"n":50,"pair":["Pot","circle15"]},"seed":7}'
+    )
+    assert spec.id == "ba22d47cd86cd1759532ae5c1083af87"
+
+
+def test_every_part_of_a_spec_is_in_its_name() -> None:
+    specs = [
+        JobSpec("a"),
+        JobSpec("b"),
+        JobSpec("a", {"x": 1}),
+        JobSpec("a", {"x": 2}),
+        JobSpec("a", seed=1),
+        JobSpec("a", inputs=("1",)),
+        JobSpec("a", code="2"),
+    ]
+    assert len({spec.id for spec in specs}) == len(specs)
+    assert all(JobSpec.parse(spec.canonical()).id == spec.id for spec in specs)
+
+
+def test_a_spec_without_a_number_has_no_name() -> None:
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        assert JobSpec("a", {"x": float("nan")}).id
+
+
+def test_a_finished_job_is_not_done_again(tmp_path: Path) -> None:
+    store, spec = JobStore(tmp_path), draws(1)[0]
+    assert run_job(spec, KINDS, store).state == "done"
+    path = store.folder(spec.id) / RESULT
+    path.write_text(json.dumps({"sum": 42.0}))
+    assert run_job(spec, KINDS, store).state == "done"
+    assert store.result(spec.id) == {"sum": 42.0}
+    assert np.load(store.folder(spec.id) / "values.npy").shape == (5,)
+
+
+def test_a_failed_job_leaves_nothing_and_says_why(tmp_path: Path) -> None:
+    store, spec = JobStore(tmp_path), JobSpec("refuse")
+    result = run_job(spec, KINDS, store)
+    assert result.state == "failed"
+    assert "Never mind" in result.error
+    assert list(tmp_path.iterdir()) == []
+    assert "no job 'unheard'" in run_job(JobSpec("unheard"), KINDS, store).error
+
+
+def test_a_damaged_result_names_its_file(tmp_path: Path) -> None:
+    store, spec = JobStore(tmp_path), draws(1)[0]
+    run_job(spec, KINDS, store)
+    (store.folder(spec.id) / RESULT).write_text("{")
+    with pytest.raises(InputError, match="no readable result"):
+        store.result(spec.id)
+
+
+def test_a_campaign_respects_inputs_and_survives_a_failure(tmp_path: Path) -> None:
+    store, parts = JobStore(tmp_path), draws(3)
+    total = JobSpec("add", inputs=tuple(spec.id for spec in parts))
+    bad = JobSpec("refuse")
+    lost = JobSpec("add", inputs=(bad.id,))
+    results = run([lost, total, bad, *parts], Serial(KINDS, store), store)
+    assert store.result(total.id)["sum"] == pytest.approx(sum(numbers(store, parts)))
+    assert {k for k, result in results.items() if result.state == "failed"} == {bad.id, lost.id}
+    assert bad.id in results[lost.id].error
+
+
+def test_a_resumed_campaign_does_only_what_is_missing(tmp_path: Path) -> None:
+    store, specs = JobStore(tmp_path), draws(4)
+    first = run_campaign(specs, Serial(KINDS, store), store)
+    for _ in range(2):
+        next(first)
+    first.close()
+    before = {p.name: p.stat().st_mtime_ns for p in tmp_path.iterdir()}
+    assert len(before) == 2
+    assert len(run(specs, Serial(KINDS, store), store)) == 4
+    after = {p.name: p.stat().st_mtime_ns for p in tmp_path.iterdir()}
+    assert before.items() <= after.items()
+    assert len(after) == 4
+
+
+def test_two_processes_give_the_numbers_of_one(tmp_path: Path) -> None:
+    specs = draws(6)
+    alone, shared = JobStore(tmp_path / "1"), JobStore(tmp_path / "2")
+    run(specs, Serial(KINDS, alone), alone)
+    told = JobSpec("threads")
+    results = run([*specs, told], LocalPool(KINDS, shared, 2), shared)
+    assert all(result.state == "done" for result in results.values())
+    assert numbers(alone, specs) == numbers(shared, specs)
+    assert shared.result(told.id)["omp"] == "1"
+    if os.name == "posix":
+        assert shared.result(told.id)["nice"] > os.nice(0)
+
+
+def test_a_killed_worker_loses_no_finished_job(tmp_path: Path) -> None:
+    store = JobStore(tmp_path / "store")
+    mortal = JobSpec("die", {"diary": str(tmp_path / "diary"), "times": 1})
+    specs = [*draws(3), mortal]
+    results = run(specs, LocalPool(KINDS, store, 2), store)
+    assert {result.state for result in results.values()} == {"done"}
+    assert store.result(mortal.id)["deaths"] == 1
+    assert len(numbers(store, draws(3))) == 3
+    assert store.sweep() == 1
+
+
+def test_a_job_that_always_kills_its_worker_is_given_up(tmp_path: Path) -> None:
+    store = JobStore(tmp_path / "store")
+    deadly = JobSpec("die", {"diary": str(tmp_path / "diary"), "times": 99})
+    results = run([deadly], LocalPool(KINDS, store, 1), store)
+    assert results[deadly.id].state == "failed"
+    assert f"died {DEATHS + 1} times" in results[deadly.id].error
+    assert (tmp_path / "diary").read_text() == "x" * (DEATHS + 1)
+
+
+def test_shards_are_a_partition(tmp_path: Path) -> None:
+    specs = draws(11)
+    parts = [shard_of(specs, i, 3) for i in range(3)]
+    assert sorted(s.id for part in parts for s in part) == sorted(s.id for s in specs)
+    assert {len(part) for part in parts} <= {3, 4}
+    assert shard_of(list(reversed(specs)), 1, 3) == parts[1]
+    store = JobStore(tmp_path)
+    total = JobSpec("add", inputs=(specs[0].id, specs[1].id))
+    everything = [*specs, total]
+    assert startable(everything, [total, specs[0]], store) == [specs[0]]
+    for spec in specs[:2]:
+        run_job(spec, KINDS, store)
+    assert startable(everything, [total, specs[0]], store) == [total, specs[0]]
+
+
+@pytest.mark.parametrize("text", ["", "1", "2/2", "-1/2", "1/0", "a/b", "0/"])
+def test_a_bad_shard_is_bad_input(text: str) -> None:
+    with pytest.raises(InputError, match="--shard"):
+        parse_shard(text)
+    assert parse_shard("1/2") == (1, 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 from backend.core.faults import InputError
@@ -24,7 +25,7 @@ class DaskCluster:
     def at(cls, kinds: Kinds, store: JobStore, address: str) -> DaskCluster:
         """Connect to the scheduler ``address`` (tcp://host:8786); raises ``InputError``."""
         try:
-            from distributed import Client
+            distributed: Any = import_module("distributed")
         except ImportError as error:
             raise InputError(
                 "Dask is not installed.",
@@ -32,7 +33,7 @@ class DaskCluster:
                 "Install the extra: pip install '.[cluster]'.",
             ) from error
         try:
-            return cls(kinds, store, Client(address, timeout="10s"))
+            return cls(kinds, store, distributed.Client(address, timeout="10s"))
         except (OSError, ValueError) as error:
             raise InputError(
                 f"No Dask scheduler answers: {error}.", address, "Check the address."
@@ -40,7 +41,7 @@ class DaskCluster:
 
     def room(self) -> int:
         """Return room for a few jobs per thread of the cluster."""
-        threads = sum(self._client.nthreads().values())
+        threads = sum(int(n) for n in self._client.nthreads().values())
         return AHEAD * max(1, threads) - len(self._running)
 
     def submit(self, spec: JobSpec) -> None:
@@ -52,7 +53,7 @@ class DaskCluster:
 
     def finished(self) -> list[JobResult]:
         """Wait for at least one job."""
-        from distributed import wait
+        wait = import_module("distributed").wait
 
         ended = wait(list(self._running), return_when="FIRST_COMPLETED").done
         results = []

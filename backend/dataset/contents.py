@@ -89,6 +89,35 @@ def read_first(path: Path) -> Contents:
         return group
 
 
+def read_chunk(path: Path, offset: int, length: int) -> Contents:
+    """Return the messages of the one chunk record at ``offset``; its CRC is checked."""
+    with explained(path), path.open("rb") as file:
+        if not 9 <= length <= MAX_CHUNK_BYTES:
+            raise ValueError("a chunk has an impossible size")
+        file.seek(offset)
+        data = file.read(length)
+        op, size = struct.unpack_from("<BQ", data)
+        if (op, size) != (Op.CHUNK, len(data) - 9) or len(data) != length:
+            raise ValueError("there is no chunk where one was expected")
+        group = Contents()
+        _read_messages(open_chunk(memoryview(data)[9:]), group)
+        return group
+
+
+def chunk_places(path: Path) -> list[tuple[int, int]]:
+    """Return (offset, length) of every whole chunk record, up to where the file is torn."""
+    data = read_bytes(path)
+    places, at = [], len(MAGIC)
+    try:
+        for op, content in walk(memoryview(data)[at:], "the file"):
+            if op == Op.CHUNK:
+                places.append((at, 9 + len(content)))
+            at += 9 + len(content)
+    except ValueError:
+        pass
+    return places
+
+
 def read_whole(path: Path) -> Contents:
     """Return all metadata and messages of a file in one ``Contents``."""
     whole = Contents()

@@ -1,86 +1,83 @@
-"""Builds the window round a bench, connects it in the background, and ends in order."""
+"""The window round a bench: joins frame, workspaces and pump, and ends in order."""
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 from PySide6.QtCore import QObject
 from PySide6.QtGui import QIcon
 from PySide6.QtWidgets import QApplication
 
-from app.actions import Actions, key_rows
+from app.actions import Actions
+from app.activity import busy, moving
+from app.appearance import Appearance
+from app.arrival import Arrival, failed_card
 from app.cards import card_of
+from app.chips import ChipsPresenter
 from app.error_hooks import ErrorBox
 from app.inspect import InspectPresenter
+from app.keys import rows_of
 from app.link import Link
-from app.live import LivePresenter
-from app.main_window import MainWindow
+from app.main_window import USUAL, MainWindow
 from app.pill import pill_of
-from app.review import ReviewPresenter
-from app.review_page import ReviewPage
-from app.settings import WindowSettings, load_settings, save_settings
-from app.side import SidePresenter
-from app.stack import StackPresenter
-from app.stack_page import StackIntents, StackPage
+from app.settings import WindowSettings, ignored_words, load_settings, save_settings
 from app.stop_key import StopKey
+from app.workspace import Command, Desk, Workspace
+from app.workspaces import FIRST, WORKSPACES
 from backend.core.facts import Fact, FaultRaised, FaultsReset, RunFinished, RunStarted, Said
-from backend.core.faults import TouchdownError
 from backend.core.hub import Mailbox
-from widgets.decision_panel import NOTHING_YET
 from widgets.fault_cards import CardText, FaultCards, Question
 from widgets.key_sheet import KeySheet
 from widgets.pump import Pump
 from widgets.state_pill import PillState
-from widgets.theme import THEMES, Theme, ThemeName, load_resources
+from widgets.theme import load_resources
 from widgets.top_bar import TopBar
+
+MOST_PARTS = 8
+"""A page is drawn in at most so many pieces."""
 
 
 class TouchdownApp(QObject):
-    """Owns window, presenters and pump. The bench arrives later, from a thread."""
+    """Owns window, workspaces and pump. The bench arrives later, from a thread."""
 
     def __init__(
         self, application: QApplication, box: ErrorBox, settings_file: Path, runs: Path
     ) -> None:
         super().__init__()
         self._application, self._box, self._settings_file = application, box, settings_file
-        self._settings, warning = load_settings(settings_file)
+        settings, warning = load_settings(settings_file)
+        self._geometry = settings.geometry
         load_resources()
-        self.theme = Theme()
-        self.theme.apply(application, self._settings.theme, self._settings.scale)
         application.setWindowIcon(QIcon("icons:touchdown.svg"))
+        self.look = Appearance(application, settings.theme, settings.scale)
+        self.theme = self.look.theme
         self.cards = FaultCards(self.reset)
         self.bar = TopBar(self.theme, self.stop)
-        intents = StackIntents(self._start, self._pause, self._cancel, self._approve,
-                               self._decline, self._choose)  # fmt: skip
-        self.page = StackPage(self.theme, intents)
-        self.page.run.show_form(self._settings.form)
-        self.review_page = ReviewPage(self.theme, self._choose_reviewed)
-        self.window = MainWindow(
-            self.theme, self.bar, self.cards, {"stack": self.page, "review": self.review_page}
-        )
+        desk = Desk(self.theme, self.cards, runs, self.say, self.go)
+        made = [make(desk) for make in WORKSPACES]
+        self.workspaces: dict[str, Workspace] = {ws.name: ws for ws in made}
+        self.window = MainWindow(self.theme, self.bar, self.cards, made)
         self.window.may_close = self._may_close
-        self._link: Link | None = None
-        self._arriving: list[Link | Exception] = []
-        self._mailbox = Mailbox()
-        self.live: LivePresenter | None = None
-        self.stack: StackPresenter | None = None
-        self._side: SidePresenter | None = None
+        self.link: Link | None = None
+        self._arrival, self._mailbox = Arrival(), Mailbox()
+        self._chips: ChipsPresenter | None = None
         self.inspect: InspectPresenter | None = None
-        self.review = ReviewPresenter(self.review_page, runs, self.cards)
-        self.actions = Actions(self.window, self._slots())
+        self.actions = Actions(self.window, rows_of(self._commands(), made), settings.keys)
         self._wire_rail()
+        self.look.refit = self._refit
         self.pump = Pump(self, self._pull)
-        for draw in (self._draw_left, self._draw_right, self._draw_wrench, self._draw_rest):
-            self.pump.add(draw)
+        self._add_parts()
         self._stop_key = StopKey(self, self.stop, self._moving)
         application.installEventFilter(self._stop_key)
         self._closing_allowed = False
         self._sheet: KeySheet | None = None
-        self.bar.pill.show_state(PillState("CONNECTING", "ring", "blue", "preparing the bench"))
-        self.page.show_waiting("Connecting", "The bench is being prepared.")
+        self._show_connecting()
+        dropped = self._recall(settings)
+        self.go(settings.front if settings.front in self.workspaces else FIRST)
+        warning = f"{warning} {ignored_words(dropped)}".strip()
         if warning:
             self.cards.show_card(CardText("SETTINGS", warning, "", "", reset=False))
 
@@ -88,42 +85,25 @@ class TouchdownApp(QObject):
 
     def connect_bench(self, make: Callable[[], Link]) -> None:
         """Build the bench on a thread of its own; the window stays alive meanwhile."""
-
-        def build() -> None:
-            arrived: Link | Exception = RuntimeError("an error that nobody expected")
-            try:
-                arrived = make()
-            except (TouchdownError, OSError, ValueError, ImportError, RuntimeError) as error:
-                arrived = error
-            finally:
-                # Whatever happened, the window stops saying "connecting".
-                self._arriving.append(arrived)
-
-        threading.Thread(target=build, name="connect", daemon=True).start()
+        self._show_connecting()
+        self._arrival.begin(make)
 
     def attach(self, link: Link) -> None:
         """Take a bench that is ready and show it."""
-        self._link = link
+        self.link = link
         link.hub.subscribe(self._mailbox)
-        self.live = LivePresenter(link, self.page, self.bar)
-        self.stack = StackPresenter(link, self.page, self.cards)
-        self._side = SidePresenter(link, self.page.side, self.page.side_panel)
+        self._chips = ChipsPresenter(link, self.bar)
         self.inspect = InspectPresenter(link, self.bar, self.window)
-        shown = link.catalogue
-        self.page.run.show_catalogue(
-            [(name, shown.piece(name).title) for name in shown.tops],
-            [(name, shown.piece(name).title) for name in shown.bottoms],
-        )
-        self.page.run.show_form(self._settings.form)
-        self.page.decision.show_text(NOTHING_YET)
+        for ws in self.workspaces.values():
+            ws.attach(link)
         self.window.show_simulated(link.simulated)
         self.bar.show_hardware_stop("none (simulated)" if link.simulated else "unknown")
         link.open()
 
     def start(self) -> None:
         """Show the window and begin to pump."""
-        if self._settings.geometry is not None:
-            self.window.setGeometry(*self._settings.geometry)
+        if self._geometry is not None:
+            self.window.setGeometry(*self._geometry)
         _pull_back(self.window)
         self.window.show()
         self.pump.start()
@@ -132,18 +112,28 @@ class TouchdownApp(QObject):
         """Remember the window, end the bench; safe to call twice."""
         self.pump.stop()
         self._application.removeEventFilter(self._stop_key)
+        self.remember()
+        link, self.link = self.link, None
+        for ws in self.workspaces.values():
+            ws.close()
+        if link is not None:
+            link.close()
+
+    def remember(self) -> None:
+        """Write the settings as they are now; a disk that refuses becomes a card."""
         area = self.window.normalGeometry()
-        geometry = (area.x(), area.y(), area.width(), area.height())
-        # Without a bench the form was never filled in: keep what was remembered.
-        form = self._settings.form if self.stack is None else self.page.run.form()
-        settings = WindowSettings(self.theme.tokens.name, self.theme.scale, geometry, form)
+        settings = WindowSettings(
+            theme=self.theme.tokens.name,
+            scale=self.theme.scale,
+            geometry=(area.x(), area.y(), area.width(), area.height()),
+            front=self.window.front,
+            keys=self.actions.changed,
+            pages={name: dict(ws.memory()) for name, ws in self.workspaces.items()},
+        )
         try:
             save_settings(self._settings_file, settings)
         except OSError as error:
             self._box.exception(OSError, error, None, "saving the window settings")
-        link, self._link = self._link, None
-        if link is not None:
-            link.close()
 
     def quit_at_once(self, status: int = 0) -> None:
         """Close without a question (for pictures and measurements)."""
@@ -154,10 +144,17 @@ class TouchdownApp(QObject):
     @property
     def pace(self) -> float:
         """Bench seconds per wall second; 0 without a bench."""
-        return self._link.pace if self._link is not None else 0.0
+        return self.link.pace if self.link is not None else 0.0
+
+    def _recall(self, settings: WindowSettings) -> list[str]:
+        dropped = list(self.actions.refused)
+        for name, memory in settings.pages.items():
+            if name in self.workspaces:
+                dropped += self.workspaces[name].recall(memory)
+        return dropped
 
     def _may_close(self) -> bool:
-        if self._closing_allowed or self.stack is None or not self.stack.busy():
+        if self._closing_allowed or self.link is None or not busy(self.link):
             return True
         self.cards.ask(
             Question(
@@ -176,8 +173,8 @@ class TouchdownApp(QObject):
 
     def stop(self) -> None:
         """Software stop: returns at once, legal in every state."""
-        if self._link is not None:
-            self._link.stop()
+        if self.link is not None:
+            self.link.stop()
             self.cards.show_card(
                 CardText(
                     "STOPPED",
@@ -190,48 +187,43 @@ class TouchdownApp(QObject):
 
     def reset(self) -> None:
         """Clear the latch and the cards."""
-        if self._link is not None:
-            self._link.reset()
+        if self.link is not None:
+            self.link.reset()
         self.cards.clear()
 
+    def say(self, text: str) -> None:
+        """Show a sentence in the foot."""
+        self.window.show_message(text)
+
+    def go(self, name: str) -> None:
+        """Bring a workspace to the front; its keys come with it."""
+        front = self.window.front
+        if front and front != name:
+            self.workspaces[front].leave()
+        self.window.show_page(name)
+        self.actions.enter(name)
+        self.workspaces[name].enter()
+
     def _moving(self) -> bool:
-        return self.stack is not None and self.stack.moving()
+        return self.link is not None and moving(self.link)
 
-    def _start(self) -> None:
-        if self.stack is not None:
-            self.stack.start()
-
-    def _pause(self) -> None:
-        if self.stack is not None:
-            self.stack.pause_or_resume()
-
-    def _cancel(self) -> None:
-        if self.stack is not None:
-            self.stack.cancel()
-
-    def _approve(self) -> None:
-        if self.stack is not None:
-            self.stack.approve()
-
-    def _decline(self) -> None:
-        if self.stack is not None:
-            self.stack.decline()
-
-    def _choose(self, index: int) -> None:
-        if self.stack is not None:
-            self.stack.choose(index)
-
-    def _choose_reviewed(self, index: int) -> None:
-        self.review.choose_probe(index)
-
-    def _slots(self) -> dict[str, Callable[[], None]]:
-        return {
-            "start": self._start, "step": self._approve, "approve": self._approve,
-            "pause": self._pause, "stack": self._show_stack, "review": self.show_review,
-            "fit": self.page.fit, "theme": self.next_theme, "larger": self._larger,
-            "smaller": self._smaller, "keys": self._show_keys,
-            "fullscreen": self._full_screen, "quit": self._quit,
-        }  # fmt: skip
+    def _commands(self) -> list[Command]:
+        pages = [
+            Command(ws.name, f"{ws.title} workspace", ws.key, partial(self.go, ws.name))
+            for ws in self.workspaces.values()
+        ]
+        return [
+            *pages,
+            Command("connect", "Connect the bench", "Ctrl+L", self._connect_again),
+            Command("layout", "Reset the layout", "Ctrl+0", self._reset_layout),
+            Command("theme", "Next theme: dark, light, high contrast", "Ctrl+T",
+                    self.look.next_theme),
+            Command("larger", "Larger text", "Ctrl++", self.look.larger),
+            Command("smaller", "Smaller text", "Ctrl+-", self.look.smaller),
+            Command("keys", "Key sheet", "F1", self._show_keys),
+            Command("fullscreen", "Full screen", "F11", self._full_screen),
+            Command("quit", "Quit", "Ctrl+Q", self._quit),
+        ]  # fmt: skip
 
     def _wire_rail(self) -> None:
         for name, button in self.window.rail.items():
@@ -240,39 +232,25 @@ class TouchdownApp(QObject):
             )
             button.clicked.connect(self.actions.action(name).trigger)
 
-    def _show_stack(self) -> None:
-        self.window.show_page("stack")
+    def _connect_again(self) -> None:
+        if self.link is None and self._arrival.again():
+            self._show_connecting()
 
-    def show_review(self) -> None:
-        """Bring the recorded runs to the front."""
-        self.review.refresh()
-        self.window.show_page("review")
+    def _reset_layout(self) -> None:
+        self.window.showNormal()
+        self.window.resize(USUAL)
+        _pull_back(self.window)
+        self.workspaces[self.window.front].reset_layout()
 
-    def next_theme(self) -> None:
-        """Switch to the next theme."""
-        at = THEMES.index(self.theme.tokens.name)
-        self._restyle(at + 1, self.theme.scale)
-
-    def set_theme(self, name: ThemeName) -> None:
-        """Switch to a theme by name."""
-        self._restyle(THEMES.index(name), self.theme.scale)
-
-    def _larger(self) -> None:
-        self._restyle(THEMES.index(self.theme.tokens.name), self.theme.scale + 0.1)
-
-    def _smaller(self) -> None:
-        self._restyle(THEMES.index(self.theme.tokens.name), self.theme.scale - 0.1)
-
-    def _restyle(self, theme: int, scale: float) -> None:
-        self.theme.apply(self._application, THEMES[theme % len(THEMES)], scale)
+    def _refit(self) -> None:
         self.window.fit_to_theme()
-        self.page.fit_to_theme()
-        self.page.run.draw_icons()
+        for ws in self.workspaces.values():
+            ws.fit_to_theme()
 
     def _show_keys(self) -> None:
         if self._sheet is None:
-            self._sheet = KeySheet(self.window, key_rows())
-        self._sheet.show()
+            self._sheet = KeySheet(self.window)
+        self._sheet.show_rows([(row.title, row.key, row.text) for row in self.actions.rows])
 
     def _full_screen(self) -> None:
         full = self.window.isFullScreen()
@@ -283,13 +261,24 @@ class TouchdownApp(QObject):
 
     # -- the pump ---------------------------------------------------------------------------------
 
+    def _add_parts(self) -> None:
+        """Give the page in front as many turns in a tick as it can have parts."""
+        for turn in range(MOST_PARTS):
+            self.pump.add(partial(self._draw_part, turn))
+        self.pump.add(self._draw_frame)
+
+    def _draw_part(self, turn: int) -> None:
+        parts = self.workspaces[self.window.front].parts
+        if turn < len(parts):
+            parts[turn]()
+
     def _pull(self) -> bool:
-        if self._arriving:
-            arrived = self._arriving.pop()
-            if isinstance(arrived, Exception):
-                self._connect_failed(arrived)
-            else:
-                self.attach(arrived)
+        arrived = self._arrival.take()
+        if isinstance(arrived, Exception):
+            self._connect_failed(arrived)
+            return True
+        if arrived is not None:
+            self.attach(arrived)
             return True
         failure = self._box.take()
         if failure is not None:
@@ -302,62 +291,40 @@ class TouchdownApp(QObject):
         return True
 
     def _take(self, fact: Fact) -> None:
-        if self.stack is not None:
-            self.stack.take(fact)
-        if self._side is not None:
-            self._side.take(fact)
+        for ws in self.workspaces.values():
+            ws.take(fact)
         if isinstance(fact, FaultRaised):
             self.cards.show_card(card_of(fact.fault, _clock()))
         elif isinstance(fact, FaultsReset):
             self.cards.clear()
         elif isinstance(fact, RunStarted):
-            self.window.show_message("")
+            self.say("")
         elif isinstance(fact, Said):
-            self.window.show_message(fact.text)
+            self.say(fact.text)
         elif isinstance(fact, RunFinished) and fact.ending != "finished":
             was = "failed" if fact.ending == "failed" else f"was {fact.ending}"
-            self.window.show_message(f"The run {was}: {fact.reason}")
+            self.say(f"The run {was}: {fact.reason}")
+
+    def _show_connecting(self) -> None:
+        self.bar.pill.show_state(PillState("CONNECTING", "ring", "blue", "preparing the bench"))
+        for ws in self.workspaces.values():
+            ws.show_waiting("Connecting", "The bench is being prepared.")
 
     def _connect_failed(self, error: Exception) -> None:
         self.bar.pill.show_state(PillState("NO DEVICES", "ring", "grey"))
-        self.page.show_waiting("No bench", "Nothing is connected.")
-        self.cards.show_card(
-            CardText(
-                "CONNECT",
-                f"The bench could not be prepared: {error}",
-                "Nothing is connected; recorded runs can still be reviewed.",
-                "Run 'touchdown doctor' for the cause.",
-                reset=False,
-            )
-        )
+        for ws in self.workspaces.values():
+            ws.show_waiting("No bench", "Nothing is connected.")
+        self.cards.show_card(failed_card(error))
 
-    def _draw_left(self) -> None:
-        if self.live is not None:
-            self.live.draw_left()
-
-    def _draw_right(self) -> None:
-        if self.live is not None:
-            self.live.draw_right()
-
-    def _draw_wrench(self) -> None:
-        if self.live is not None:
-            self.live.draw_wrench()
-
-    def _draw_rest(self) -> None:
-        if self._link is None or self.live is None or self.stack is None or self._side is None:
+    def _draw_frame(self) -> None:
+        if self.link is None or self._chips is None:
             return
-        if self.live.draw_chips():
-            self._draw_figures()
-        self.stack.draw()
-        self._side.draw()
-        self.bar.pill.show_state(pill_of(self._link))
-
-    def _draw_figures(self) -> None:
-        """Draw what changes all the time but is read now and then."""
-        if self.inspect is not None:
-            self.inspect.draw()
-        pace = f"{self.pace:.2f}\N{MULTIPLICATION SIGN} real time" if self.pace else ""
-        self.window.show_right(pace)
+        if self._chips.draw():
+            if self.inspect is not None:
+                self.inspect.draw()
+            pace = f"{self.pace:.2f}\N{MULTIPLICATION SIGN} real time" if self.pace else ""
+            self.window.show_right(pace)
+        self.bar.pill.show_state(pill_of(self.link))
 
 
 def _stay() -> None:

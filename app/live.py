@@ -1,40 +1,44 @@
-"""Presenter: streams and devices to live views. Runs on the pump, reads snapshots, never waits."""
+"""Presenter: streams to live views. Runs on the pump, reads snapshots, never waits."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
+from app.chips import lost_words
 from app.link import Link
-from app.stack_page import StackPage
 from backend.core.flow import FINGERS, Finger, MarkerField, TactileFrame
-from backend.devices.protocols import Arm, Device, DeviceState
-from widgets.device_chip import ChipState, ChipValue
-from widgets.freshness import Age, Freshness
-from widgets.top_bar import CHIPS, TopBar
+from backend.devices.protocols import DeviceState
+from widgets.force_traces import TracePlot
+from widgets.freshness import Freshness
+from widgets.panel import Panel
+from widgets.tactile_view import TactileView
 
-CHIP_PERIOD_S = 0.25
-_STATES: dict[DeviceState, ChipState] = {
-    DeviceState.CLOSED: "closed",
-    DeviceState.CONNECTING: "connecting",
-    DeviceState.READY: "ready",
-    DeviceState.FAULT: "fault",
-}
+HEADER_PERIOD_S = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class LiveViews:
+    """The views of one page that follow the sensors."""
+
+    tactile: Mapping[Finger, TactileView]
+    panels: Mapping[Finger, Panel]
+    force: TracePlot
+    moment: TracePlot
 
 
 class LivePresenter:
-    """Moves the newest samples of a bench into the views."""
+    """Moves the newest samples of a bench into the views of one page."""
 
     def __init__(
-        self, link: Link, page: StackPage, bar: TopBar, now_s: Callable[[], float] = time.monotonic
+        self, link: Link, views: LiveViews, now_s: Callable[[], float] = time.monotonic
     ) -> None:
-        self._link, self._page, self._bar, self._now_s = link, page, bar, now_s
+        self._link, self._views, self._now_s = link, views, now_s
         self._fresh = {finger: Freshness() for finger in FINGERS}
-        self._device_fresh = {key: Freshness() for key, _ in CHIPS}
         self._wrench_fresh = Freshness()
         self._wrench_cursor = 0
-        self._first_s = float("nan")
-        self._chips_s = float("-inf")
+        self._headers_s = float("-inf")
         self._frame_cursor = dict.fromkeys(FINGERS, 0)
         self.frames_shown = dict.fromkeys(FINGERS, 0)
 
@@ -47,7 +51,7 @@ class LivePresenter:
         self._draw_finger("right")
 
     def _draw_finger(self, finger: Finger) -> None:
-        view, stream = self._page.tactile[finger], self._link.frames[finger]
+        view, stream = self._views.tactile[finger], self._link.frames[finger]
         if not view.isVisible():
             return
         fresh, now_s = self._fresh[finger], self._now_s()
@@ -69,70 +73,41 @@ class LivePresenter:
 
     def draw_wrench(self) -> None:
         """Feed the traces."""
-        page, stream, now_s = self._page, self._link.wrench, self._now_s()
-        if not page.force.isVisible():
+        views, stream, now_s = self._views, self._link.wrench, self._now_s()
+        if not views.force.isVisible():
             return
         if self._wrench_fresh.note(stream.count, now_s):
             samples = stream.since(self._wrench_cursor)
             self._wrench_cursor = samples.cursor
             if len(samples.t_s):
-                page.force.add(samples.t_s, samples.values[:, :3])
-                page.moment.add(samples.t_s, samples.values[:, 3:])
+                views.force.add(samples.t_s, samples.values[:, :3])
+                views.moment.add(samples.t_s, samples.values[:, 3:])
         age, age_s = self._wrench_fresh.judge(now_s), self._wrench_fresh.age_s(now_s)
-        for plot in (page.force, page.moment):
+        for plot in (views.force, views.moment):
             plot.show_age(age, age_s, "The force/torque sensor has not sent a sample.")
 
-    def draw_chips(self) -> bool:
-        """Update chips, headers and modes four times a second; True when it did."""
+    def draw_headers(self) -> None:
+        """Update the figures in the headers four times a second."""
         now_s = self._now_s()
-        if now_s - self._chips_s < CHIP_PERIOD_S:
-            return False
-        self._chips_s = now_s
-        devices = self._link.devices
-        for key, _ in CHIPS:
-            device = devices.get(key)
-            if device is not None:
-                self._bar.chips[key].show_value(self._chip(key, device, now_s))
-        arm = devices.get("arm")
-        if arm is not None:
-            status = _arm(arm).status()
-            self._bar.show_modes(status.robot_mode.value, status.safety_mode.value)
+        if now_s - self._headers_s < HEADER_PERIOD_S:
+            return
+        self._headers_s = now_s
         for finger in FINGERS:
             self._show_header(finger)
-        for plot in (self._page.force, self._page.moment):
+        for plot in (self._views.force, self._views.moment):
             plot.setAccessibleDescription(plot.summary())
-        return True
-
-    def _chip(self, key: str, device: Device, now_s: float) -> ChipValue:
-        health, fresh = device.health, self._device_fresh[key]
-        fresh.note(health.received, now_s)
-        state: ChipState = _STATES[device.state]
-        age = fresh.judge(now_s)
-        if state == "ready" and age in (Age.STALE, Age.GONE):
-            state = "stale"
-            detail = f"stale {fresh.age_s(now_s):.1f} s"
-        elif device.state is DeviceState.READY:
-            detail = f"{health.rate_hz:.0f} Hz, {1e3 * max(health.age_s, 0):.0f} ms"
-        else:
-            detail = device.state.value
-        who = device.identity
-        lost = _lost(health.lost, "frame" if key.startswith("tactile") else "sample")
-        tip = f"{device.state.value}, {detail}; {health.received} received, {lost}"
-        if who is not None:
-            tip = f"{who.maker} {who.model}, serial {who.serial}\n{tip}"
-        return ChipValue(state, detail, health.lost, tip)
 
     def _show_header(self, finger: Finger) -> None:
         panel, device = (
-            self._page.tactile_panels[finger],
+            self._views.panels[finger],
             self._link.devices.get(f"tactile_{finger}"),
         )
-        seen, total = self._page.tactile[finger].seen()
+        seen, total = self._views.tactile[finger].seen()
         if device is None or total == 0:
             panel.detail.setText("")
             return
         health = device.health
-        lost = f", {_lost(health.lost, 'frame')}" if health.lost else ""
+        lost = f", {lost_words(health.lost, 'frame')}" if health.lost else ""
         panel.detail.setToolTip("markers seen, measured rate, frames lost")
         panel.detail.setText(f"{seen}/{total}, {health.rate_hz:.1f} Hz{lost}")
 
@@ -143,12 +118,3 @@ class LivePresenter:
         if device.state is not DeviceState.READY:
             return f"The camera is {device.state.value}."
         return "The camera has sent no frame for more than 2 s."
-
-
-def _lost(count: int, noun: str) -> str:
-    """Name what was lost: beside the count of markers a bare number reads as markers."""
-    return f"{count} {noun} lost" if count == 1 else f"{count} {noun}s lost"
-
-
-def _arm(device: Device) -> Arm:
-    return device  # type: ignore[return-value]

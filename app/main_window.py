@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
 from PySide6.QtCore import QSize, Qt
 from PySide6.QtGui import QCloseEvent, QFontMetrics
@@ -30,31 +31,38 @@ MINIMUM = QSize(1280, 720)
 PAGE_EM = (74, 33)
 """A page needs this much room, in heights of the base font; with less it scrolls."""
 USUAL = QSize(1600, 940)
-RAIL = (("stack", "Stack"), ("review", "Review"), ("theme", "Theme"), ("keys", "Keys"))
+FOOT_OF_RAIL = (("theme", "Theme"), ("keys", "Keys"))
+
+
+class Tab(Protocol):
+    """What the window needs of a workspace."""
+
+    name: str
+    title: str
+    page: QWidget
 
 
 class MainWindow(QMainWindow):
     """Holds the views; ``may_close`` decides whether a close request is granted."""
 
-    def __init__(
-        self, theme: Theme, bar: TopBar, cards: FaultCards, pages: dict[str, QWidget]
-    ) -> None:
+    def __init__(self, theme: Theme, bar: TopBar, cards: FaultCards, pages: Sequence[Tab]) -> None:
         super().__init__()
         self._theme, self._bar = theme, bar
         self.may_close: Callable[[], bool] = bool
-        self.pages = pages
+        self.front = ""
         self._stack = QStackedWidget()
-        self._scrolls = {name: _scrolled(page) for name, page in pages.items()}
+        self._pages = {tab.name: tab.page for tab in pages}
+        self._scrolls = {tab.name: _scrolled(tab.page) for tab in pages}
         for scroll in self._scrolls.values():
             self._stack.addWidget(scroll)
-        self.rail = {name: _rail_button(text) for name, text in RAIL}
+        named = [(tab.name, tab.title) for tab in pages]
+        self.rail = {name: _rail_button(text) for name, text in (*named, *FOOT_OF_RAIL)}
         self._message, self._right = ElidedLabel("muted"), label("", "small")
         self._banner = SimulatedBanner(theme)
         self._arrange(bar, cards)
         self.setMinimumSize(MINIMUM)
         self.resize(USUAL)
         self.fit_to_theme()
-        self.show_page("stack")
 
     def _arrange(self, bar: TopBar, cards: FaultCards) -> None:
         right = QVBoxLayout()
@@ -84,11 +92,11 @@ class MainWindow(QMainWindow):
         column = QVBoxLayout(rail)
         column.setContentsMargins(5, 8, 5, 8)
         column.setSpacing(4)
-        for name in ("stack", "review"):
+        for name in self._pages:
             self.rail[name].setCheckable(True)
             column.addWidget(self.rail[name])
         column.addStretch(1)
-        for name in ("theme", "keys"):
+        for name, _ in FOOT_OF_RAIL:
             column.addWidget(self.rail[name])
         return rail
 
@@ -105,8 +113,9 @@ class MainWindow(QMainWindow):
 
     def show_page(self, name: str) -> None:
         """Bring a workspace to the front."""
+        self.front = name
         self._stack.setCurrentWidget(self._scrolls[name])
-        for key in ("stack", "review"):
+        for key in self._pages:
             self.rail[key].setChecked(key == name)
 
     def show_message(self, text: str) -> None:
@@ -127,7 +136,7 @@ class MainWindow(QMainWindow):
     def fit_to_theme(self) -> None:
         """Draw the rail's icons in the theme's colours; larger text scrolls, it is never cut."""
         em = QFontMetrics(ui_font(self._theme.scale)).height()
-        for page in self.pages.values():
+        for page in self._pages.values():
             page.setMinimumSize(PAGE_EM[0] * em, PAGE_EM[1] * em)
         for button in self.rail.values():
             button.setMinimumWidth(round(3.7 * em))

@@ -11,6 +11,7 @@ import psutil  # type: ignore[import-untyped]
 from PySide6.QtCore import QObject, Qt, QTimer
 
 from app.application import TouchdownApp
+from app.stack.workspace import StackWorkspace
 
 HEARTBEAT_MS = 10
 
@@ -33,11 +34,11 @@ class Measurement(QObject):
 
     def _wait(self) -> None:
         """Begin two seconds after the bench is there and a run goes on."""
-        if self._main.stack is None or self._main.live is None:
+        if self._main.link is None:
             self._give_up_if_failed()
             return
         if self._warm_s == 0.0:
-            self._main.stack.start()
+            self._main.actions.action("stack.start").trigger()
             self._warm_s = time.perf_counter() + 2.0
         if time.perf_counter() < self._warm_s:
             return
@@ -69,10 +70,11 @@ class Measurement(QObject):
             self._finish(now_s - self._start_s)
 
     def _paints(self) -> tuple[int, int, int]:
-        page, live = self._main.page, self._main.live
-        assert live is not None
-        shown = live.frames_shown
-        return shown["left"], shown["right"], page.force.paints
+        stack = self._main.workspaces["stack"]
+        assert isinstance(stack, StackWorkspace)
+        assert stack.live is not None
+        shown = stack.live.frames_shown
+        return shown["left"], shown["right"], stack.page.force.paints
 
     def _finish(self, wall_s: float) -> None:
         left, right, traces = (

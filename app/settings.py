@@ -4,25 +4,32 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import cast
 
 from backend.core.files import write_atomically
-from widgets.run_panel import RunForm
 from widgets.theme import THEMES, ThemeName
 
-VERSION = 1
+VERSION = 2
+Json = dict[str, object]
 
 
 @dataclass(frozen=True, slots=True)
 class WindowSettings:
-    """``geometry``: x, y, width, height of the normal window; None: not known."""
+    """``geometry``: x, y, width, height of the normal window; None: not known.
+
+    ``front``: the workspace in front. ``keys``: changed keys by command. ``pages``: what each
+    workspace remembers; the workspace itself judges that.
+    """
 
     theme: ThemeName = "dark"
     scale: float = 1.0
     geometry: tuple[int, int, int, int] | None = None
-    form: RunForm = field(default_factory=RunForm)
+    front: str = ""
+    keys: dict[str, str] = field(default_factory=dict)
+    pages: dict[str, Json] = field(default_factory=dict)
 
 
 def settings_path() -> Path:
@@ -42,25 +49,23 @@ def load_settings(path: Path) -> tuple[WindowSettings, str]:
         return WindowSettings(), ""
     except (OSError, ValueError) as error:
         return WindowSettings(), f"The window settings could not be read ({error}): defaults."
-    if not isinstance(raw, dict) or raw.get("version") != VERSION:
+    if not isinstance(raw, dict) or raw.get("version") not in (1, VERSION):
         return WindowSettings(), "The window settings are of another version: defaults are used."
-    default = WindowSettings()
     dropped: list[str] = []
-    theme = raw.get("theme", default.theme)
-    if theme not in THEMES:
-        theme = default.theme
-        dropped.append("theme")
-    scale = raw.get("scale", default.scale)
-    if not _number(scale) or not 0.8 <= scale <= 2.0:
-        scale = default.scale
-        dropped.append("scale")
-    geometry, good = _geometry(raw.get("geometry"))
-    if not good:
-        dropped.append("geometry")
-    form, bad = _form(raw.get("form", {}))
-    dropped += bad
-    warning = f"Ignored in the window settings: {', '.join(dropped)}." if dropped else ""
-    return WindowSettings(cast("ThemeName", theme), float(scale), geometry, form), warning
+    settings = WindowSettings(
+        theme=cast("ThemeName", _kept(raw, "theme", "dark", lambda v: v in THEMES, dropped)),
+        scale=float(cast("float", _kept(raw, "scale", 1.0, _is_scale, dropped))),
+        geometry=_geometry(raw.get("geometry"), dropped),
+        front=cast("str", _kept(raw, "front", "", _is_text, dropped)),
+        keys=_keys(raw.get("keys", {}), dropped),
+        pages=_pages(raw, dropped),
+    )
+    return settings, ignored_words(dropped)
+
+
+def ignored_words(names: Sequence[str]) -> str:
+    """Return the warning for fields that made no sense, "" for none."""
+    return f"Ignored in the window settings: {', '.join(names)}." if names else ""
 
 
 def save_settings(path: Path, settings: WindowSettings) -> None:
@@ -69,28 +74,48 @@ def save_settings(path: Path, settings: WindowSettings) -> None:
     write_atomically(path, json.dumps(body, indent=1).encode())
 
 
-def _number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+def _kept(
+    raw: Json, name: str, default: object, good: Callable[[object], bool], dropped: list[str]
+) -> object:
+    value = raw.get(name, default)
+    if good(value):
+        return value
+    dropped.append(name)
+    return default
 
 
-def _geometry(raw: object) -> tuple[tuple[int, int, int, int] | None, bool]:
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
+
+
+def _is_scale(value: object) -> bool:
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return number and 0.8 <= cast("float", value) <= 2.0
+
+
+def _geometry(raw: object, dropped: list[str]) -> tuple[int, int, int, int] | None:
     if raw is None:
-        return None, True
+        return None
     if isinstance(raw, list) and len(raw) == 4 and all(type(v) is int for v in raw):
         x, y, width, height = raw
         if abs(x) < 30_000 and abs(y) < 30_000 and 0 < width < 30_000 and 0 < height < 30_000:
-            return (x, y, width, height), True
-    return None, False
+            return x, y, width, height
+    dropped.append("geometry")
+    return None
 
 
-def _form(raw: object) -> tuple[RunForm, list[str]]:
-    if not isinstance(raw, dict):
-        return RunForm(), ["form"]
-    default, known, dropped = RunForm(), {}, []
-    for entry in fields(RunForm):
-        value = raw.get(entry.name, getattr(default, entry.name))
-        if type(value) is type(getattr(default, entry.name)):
-            known[entry.name] = value
-        else:
-            dropped.append(entry.name)
-    return RunForm(**known), dropped
+def _keys(raw: object, dropped: list[str]) -> dict[str, str]:
+    if isinstance(raw, dict) and all(isinstance(v, str) for v in raw.values()):
+        return dict(raw)
+    dropped.append("keys")
+    return {}
+
+
+def _pages(raw: Json, dropped: list[str]) -> dict[str, Json]:
+    # Version 1 knew one workspace, and kept its form on the top level.
+    pages = raw.get("pages", {"stack": raw.get("form", {})})
+    if not isinstance(pages, dict):
+        dropped.append("pages")
+        return {}
+    dropped += [name for name, page in pages.items() if not isinstance(page, dict)]
+    return {name: page for name, page in pages.items() if isinstance(page, dict)}

@@ -14,6 +14,7 @@ from app.application import TouchdownApp
 from app.error_hooks import ErrorBox, install, log_to
 from app.link import Link
 from app.measure import Measurement
+from app.review.workspace import ReviewWorkspace
 from app.settings import settings_path
 from backend.runs.store import data_folder
 
@@ -52,13 +53,19 @@ def run(args: argparse.Namespace) -> int:
 
 def _show(main: TouchdownApp, args: argparse.Namespace) -> None:
     if args.theme is not None:
-        main.set_theme(args.theme)
+        main.look.show(args.theme, main.theme.scale)
     main.start()
     if args.size is not None:
         main.window.resize(*args.size)
+    if args.page is not None:
+        main.go(args.page)
+    elif args.grab is not None or args.measure:
+        main.go("stack")
     if args.replay is not None:
-        main.show_review()
-        main.review.open(args.replay)
+        main.go("review")
+        review = main.workspaces["review"]
+        assert isinstance(review, ReviewWorkspace)
+        review.presenter.open(args.replay)
     main.connect_bench(live_bench)
 
 
@@ -66,11 +73,11 @@ def live_bench() -> Link:
     """Build the simulated bench with a first scene to look at (on the connecting thread)."""
     # Imported here, on the connecting thread: the model library takes seconds to load.
     from backend.assembly import simulated_session
-    from backend.runs.requests import StackRequest
+    from backend.runs.requests import SceneChoice
     from backend.session import Keep
 
     session = simulated_session(keep=Keep(data_folder() / "runs"), animate=_can_animate())
-    session.prepare(StackRequest())
+    session.prepare(SceneChoice())
     return session
 
 
@@ -88,14 +95,14 @@ class _Grab(QObject):
         self._timer.timeout.connect(self._started)
         self._timer.start(100)
         self._wait_ms = int(1000 * args.after)
-        self._replay = args.replay is not None
+        self._replay, self._starts = args.replay is not None, args.page in (None, "stack")
 
     def _started(self) -> None:
-        if self._main.stack is None and not self._replay and not self._main.cards.codes:
+        if self._main.link is None and not self._replay and not self._main.cards.codes:
             return
         self._timer.stop()
-        if self._main.stack is not None and not self._replay:
-            self._main.stack.start()
+        if self._main.link is not None and not self._replay and self._starts:
+            self._main.actions.action("stack.start").trigger()
         QTimer.singleShot(self._wait_ms, self._main, self._save)
 
     def _save(self) -> None:

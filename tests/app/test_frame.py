@@ -3,34 +3,47 @@
 import json
 import sys
 import threading
+from dataclasses import asdict
 
 import pytest
 from PySide6.QtCore import QRect, Qt, qWarning
-from PySide6.QtGui import QAction, QKeySequence
+from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QLabel, QSpinBox, QWidget
 
-from app.actions import COMMANDS, STOP_ROWS, key_rows
 from app.application import TouchdownApp
 from app.error_hooks import ErrorBox, install, log_to
 from app.guard import bad_pair
+from app.keys import EVERYWHERE, STOP_ROWS, portable
 from app.settings import WindowSettings, load_settings, save_settings
+from app.stack.form import form_of
 from tests.app.conftest import settle
 from tests.app.stand_in import StandInBench
 from widgets.run_panel import RunForm
 from widgets.theme import THEMES
 
 
-def test_no_two_commands_share_a_key():
-    keys = [QKeySequence(c.key).toString() for c in COMMANDS]
-    assert all(keys)
-    assert len(set(keys)) == len(keys)
-    assert not {"F12", "Space"} & set(keys)
+def test_no_two_commands_share_a_key_in_one_context(main):
+    rows = main.actions.rows
+    for context in main.workspaces:
+        keys = [portable(r.key) for r in rows if r.context in (EVERYWHERE, context) and r.key]
+        assert all(keys)
+        assert sorted(set(keys)) == sorted(keys)
 
 
 def test_no_action_or_shortcut_takes_a_stop_key(live):
     keys = {a.shortcut().toString() for a in live.window.findChildren(QAction)}
     assert not {key for key, _ in STOP_ROWS} & keys
-    assert {"F12", "Space"} <= {key for key, _ in key_rows()}
+    assert {"F12", "Space"} <= {row.key for row in live.actions.rows}
+
+
+def test_only_the_keys_of_the_workspace_in_front_act(live):
+    live.go("review")
+    assert not live.actions.action("stack.start").isEnabled()
+    assert live.actions.action("review.refresh").isEnabled()
+    live.go("stack")
+    assert live.actions.action("stack.start").isEnabled()
+    assert not live.actions.action("review.refresh").isEnabled()
+    assert live.actions.action("theme").isEnabled()
 
 
 def test_everything_that_can_be_operated_has_a_name(live):
@@ -46,16 +59,17 @@ def test_everything_that_can_be_operated_has_a_name(live):
 
 
 def test_buttons_and_fields_have_tooltips(live):
-    for widget in (*live.window.rail.values(), live.bar.stop, live.page.run.start,
-                   live.page.run.pause, live.page.run.cancel, live.page.decision.approve,
-                   *live.page.run.findChildren(QComboBox)):  # fmt: skip
+    page = live.workspaces["stack"].page
+    run = page.run
+    fields = (run.start, run.pause, run.cancel, *run.findChildren(QComboBox))
+    for widget in (*live.window.rail.values(), live.bar.stop, page.decision.approve, *fields):
         assert widget.toolTip()
 
 
 @pytest.mark.parametrize("theme", THEMES)
 @pytest.mark.parametrize("size", [(1280, 720), (1600, 940)])
 def test_no_label_is_cut_off_and_the_top_bar_is_visible(live, bench, theme, size):
-    live.set_theme(theme)
+    live.look.show(theme, live.theme.scale)
     live.window.resize(*size)
     bench.tell_start()
     bench.tell_probe(1, (7.2, 3.1), -3.4)
@@ -70,7 +84,12 @@ def test_no_label_is_cut_off_and_the_top_bar_is_visible(live, bench, theme, size
     ]  # fmt: skip
     assert cut == []
     window = QRect(live.window.rect())
-    for widget in (live.bar.stop, live.bar.pill, *live.bar.chips.values(), live.page.run.cancel):
+    for widget in (
+        live.bar.stop,
+        live.bar.pill,
+        *live.bar.chips.values(),
+        live.workspaces["stack"].page.run.cancel,
+    ):
         corner = widget.mapTo(live.window, widget.rect().bottomRight())
         assert window.contains(corner)
 
@@ -86,8 +105,8 @@ def test_scale_and_theme_switch_live(live):
         live.actions.action("theme").trigger()
         names.append(live.theme.tokens.name)
     assert sorted(names) == sorted(THEMES)
-    live.set_theme("dark")
-    live._restyle(0, 1.0)
+    live.look.show("dark", live.theme.scale)
+    live.look.show("dark", 1.0)
 
 
 def test_the_key_sheet_opens_without_blocking(live):
@@ -103,7 +122,14 @@ def test_the_key_sheet_opens_without_blocking(live):
 
 def test_settings_survive_a_round_trip(tmp_path):
     path = tmp_path / "a" / "window.json"
-    wanted = WindowSettings("light", 1.3, (10, 20, 1500, 900), RunForm("barrel", trials=9))
+    wanted = WindowSettings(
+        "light",
+        1.3,
+        (10, 20, 1500, 900),
+        "review",
+        {"stack.pause": "Ctrl+P"},
+        {"stack": {"seed": 9}},
+    )
     save_settings(path, wanted)
     assert load_settings(path) == (wanted, "")
 
@@ -117,6 +143,8 @@ def test_no_file_is_no_warning(tmp_path):
     ["", "{", "[]", "null", '{"version": 99}', '{"version": 1, "theme": 5, "scale": "x"}',
      '{"version": 1, "geometry": [1, 2], "form": {"seed": "seven"}}',
      '{"version": 1, "scale": 1e9, "geometry": ["a", 1, 1, 1], "form": []}',
+     '{"version": 2, "keys": {"stack.pause": 7}}', '{"version": 2, "pages": {"stack": 5}}',
+     '{"version": 2, "pages": [], "front": 4}',
      '{"version": 1, "geometry": [0, 0, 99999999, 1]}', "\udcff"],
 )  # fmt: skip
 def test_a_bad_file_never_prevents_the_start(tmp_path, content):
@@ -135,30 +163,31 @@ def test_good_fields_of_a_partly_bad_file_are_kept(tmp_path):
     path.write_text(json.dumps(body))
     settings, warning = load_settings(path)
     assert settings.theme == "light"
-    assert settings.form.piece == "barrel"
     assert "scale" in warning
-    assert "seed" in warning
+    form, dropped = form_of(settings.pages["stack"])
+    assert (form.piece, form.seed, dropped) == ("barrel", RunForm().seed, ["seed"])
 
 
 def test_closing_remembers_the_form(main, tmp_path):
     main.attach(StandInBench())
-    main.page.run.show_form(RunForm("mushroom", "circle25", seed=42))
+    main.workspaces["stack"].page.run.show_form(RunForm("mushroom", "circle25", seed=42))
     main.close()
     settings, _ = load_settings(tmp_path / "window.json")
-    assert (settings.form.piece, settings.form.bottom, settings.form.seed) == (
-        "mushroom", "circle25", 42,
-    )  # fmt: skip
+    form, _ = form_of(settings.pages["stack"])
+    assert (form.piece, form.bottom, form.seed) == ("mushroom", "circle25", 42)
 
 
 def test_closing_without_a_bench_keeps_the_remembered_form(qapp, tmp_path, qtbot):
     path = tmp_path / "window.json"
-    save_settings(path, WindowSettings(form=RunForm("barrel", "hex20", "long", 5)))
+    save_settings(
+        path, WindowSettings(pages={"stack": asdict(RunForm("barrel", "hex20", "long", 5))})
+    )
     main = TouchdownApp(qapp, ErrorBox(), path, tmp_path)
     main.close()
     main.window.deleteLater()
     main.deleteLater()
     settings, _ = load_settings(path)
-    assert settings.form == RunForm("barrel", "hex20", "long", 5)
+    assert form_of(settings.pages["stack"])[0] == RunForm("barrel", "hex20", "long", 5)
 
 
 # -- guard and hooks -------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ def test_a_click_on_a_chip_opens_its_device_and_follows_it(live, bench, qtbot):
     assert shown["width_mm"] == "\N{MINUS SIGN}1.25"
     received = int(shown["received"])
     bench.turn(0.4)
-    live.live._chips_s = 0.0
+    live._chips._drawn_s = 0.0
     settle(live)
     assert int(sheet.rows()["received"]) == received + 10
     qtbot.mouseClick(live.bar.chips["arm"], Qt.MouseButton.LeftButton)

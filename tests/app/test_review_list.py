@@ -2,8 +2,8 @@
 
 import pytest
 
-from app import review
-from app.run_lines import read_run_line
+from app.review import presenter as review
+from app.review.run_lines import read_run_line
 from backend.core.facts import RunFinished
 from backend.core.flow import Outcome
 from backend.runs.journal import NAME, Journal
@@ -64,10 +64,12 @@ def test_the_list_fills_in_newest_first_and_survives_damage(main, qtbot, tmp_pat
     damaged = record(runs / "20261121-041511-702", [Outcome.FELL])
     text = (damaged / NAME).read_text().replace('"FELL"', '"FLEW"')
     (damaged / NAME).write_text(text)
-    main.show_review()
-    rows = main.review_page.runs
+    main.go("review")
+    rows = main.workspaces["review"].page.runs
     assert [rows.item(i).text() for i in range(2)] == [TIME, TIME]
-    qtbot.waitUntil(lambda: not main.review._describing.isActive(), timeout=3000)
+    qtbot.waitUntil(
+        lambda: not main.workspaces["review"].presenter._describing.isActive(), timeout=3000
+    )
     assert rows.item(0).text() == f"{TIME}\nbarrel on short: fell"
     assert rows.item(1).text() == f"{TIME}\ncannot be read"
     assert rows.item(0).toolTip() == "barrel on short: fell"
@@ -77,9 +79,11 @@ def test_only_the_newest_are_described_until_one_is_opened(main, qtbot, tmp_path
     monkeypatch.setattr(review, "MOST_DESCRIBED", 1)
     for number in (701, 702):
         record(tmp_path / "runs" / f"20261121-041511-{number}", [Outcome.PLACED])
-    main.show_review()
-    qtbot.waitUntil(lambda: not main.review._describing.isActive(), timeout=3000)
-    rows = main.review_page.runs
+    main.go("review")
+    qtbot.waitUntil(
+        lambda: not main.workspaces["review"].presenter._describing.isActive(), timeout=3000
+    )
+    rows = main.workspaces["review"].page.runs
     assert rows.item(0).text() == f"{TIME}\npot on short: placed"
     assert rows.item(1).text() == TIME
     rows.setCurrentRow(1)
@@ -91,10 +95,12 @@ def test_a_run_that_went_on_is_described_again(main, qtbot, tmp_path):
     whole = (run / NAME).read_bytes()
     lines = whole.splitlines(keepends=True)
     (run / NAME).write_bytes(b"".join(lines[:-2]))
-    rows = main.review_page.runs
+    rows = main.workspaces["review"].page.runs
     for content, text in ((None, "not finished"), (whole, "placed")):
         if content is not None:
             (run / NAME).write_bytes(content)
-        main.show_review()
-        qtbot.waitUntil(lambda: not main.review._describing.isActive(), timeout=3000)
+        main.go("review")
+        qtbot.waitUntil(
+            lambda: not main.workspaces["review"].presenter._describing.isActive(), timeout=3000
+        )
         assert rows.item(0).text() == f"{TIME}\npot on short: {text}"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from app.run_story import RunStory
-from app.side import HOLD_S, SidePresenter
+from app.stack.side import HOLD_S, SidePresenter
 from backend.core.facts import PhaseEntered, Released, RunStarted, StabilityJudged, TrialStarted
 from backend.core.flow import Fall
 from tests.app.conftest import settle
@@ -153,6 +153,6 @@ def test_a_new_run_forgets_the_old_one(live, bench):
     settle(live)
     bench.tell_start(piece="barrel")
     settle(live)
-    assert live.stack.story.head.piece == "barrel"
-    assert len(live.stack.story.trials) == 1
-    assert live.page.strip.thumbnails == []
+    assert live.workspaces["stack"].presenter.story.head.piece == "barrel"
+    assert len(live.workspaces["stack"].presenter.story.trials) == 1
+    assert live.workspaces["stack"].page.strip.thumbnails == []

@@ -5,7 +5,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from scipy.stats import binomtest
 
-from app.stack import request_of
+from app.stack.presenter import request_of
 from app.tally import wilson
 from backend.core.flow import Outcome
 from backend.runs.requests import RunState, StackRequest
@@ -25,8 +25,10 @@ def told(live, bench, end=None):
 
 
 def test_start_hands_over_what_is_filled_in(live, bench):
-    live.page.run.show_form(RunForm("barrel", "hex20", "long", 11, 5, "pick-and-place", "step"))
-    live.page.run.start.click()
+    live.workspaces["stack"].page.run.show_form(
+        RunForm("barrel", "hex20", "long", 11, 5, "pick-and-place", "step")
+    )
+    live.workspaces["stack"].page.run.start.click()
     assert bench.started == [
         StackRequest("barrel", ("long", "hex20"), 11, 5, "pick-and-place", "step")
     ]
@@ -37,13 +39,13 @@ def test_a_form_without_a_tower():
 
 
 def test_a_second_start_is_not_sent(live, bench):
-    live.page.run.start.click()
-    live._start()
+    live.workspaces["stack"].page.run.start.click()
+    live.actions.action("stack.start").trigger()
     assert len(bench.started) == 1
 
 
 def test_buttons_follow_the_state(live, bench):
-    run = live.page.run
+    run = live.workspaces["stack"].page.run
     assert (run.start.isEnabled(), run.pause.isEnabled(), run.cancel.isEnabled()) == (1, 0, 0)
     run.start.click()
     settle(live)
@@ -58,7 +60,7 @@ def test_buttons_follow_the_state(live, bench):
 
 def test_decision_and_map_show_the_newest_probe(live, bench):
     told(live, bench)
-    page = live.page
+    page = live.workspaces["stack"].page
     assert page.decision._margin.text() == "\N{MINUS SIGN}1.1 mm"
     assert page.belief.scene.belief.probes == 2
     assert len(page.strip.thumbnails) == 2
@@ -68,24 +70,26 @@ def test_decision_and_map_show_the_newest_probe(live, bench):
 
 def test_looking_back_and_forward_again(live, bench, qtbot):
     told(live, bench)
-    qtbot.mouseClick(live.page.strip.thumbnails[0], Qt.MouseButton.LeftButton)
+    qtbot.mouseClick(live.workspaces["stack"].page.strip.thumbnails[0], Qt.MouseButton.LeftButton)
     settle(live)
-    assert live.page.belief.scene.belief.probes == 1
-    assert "Looking back" in live.page.decision._text.text()
+    assert live.workspaces["stack"].page.belief.scene.belief.probes == 1
+    assert "Looking back" in live.workspaces["stack"].page.decision._text.text()
     bench.tell_probe(3, (1.6, 0.7), 1.6)
     settle(live)
-    assert live.page.belief.scene.belief.probes == 1  # stays where the operator looks
-    qtbot.mouseClick(live.page.strip.thumbnails[2], Qt.MouseButton.LeftButton)
+    assert (
+        live.workspaces["stack"].page.belief.scene.belief.probes == 1
+    )  # stays where the operator looks
+    qtbot.mouseClick(live.workspaces["stack"].page.strip.thumbnails[2], Qt.MouseButton.LeftButton)
     settle(live)
-    assert live.page.belief.scene.belief.probes == 3
+    assert live.workspaces["stack"].page.belief.scene.belief.probes == 3
 
 
 def test_the_true_overlap_appears_only_after_the_trial(live, bench):
     told(live, bench)
-    assert live.page.belief.scene.truth is None
+    assert live.workspaces["stack"].page.belief.scene.truth is None
     bench.tell_end(Outcome.PLACED)
     settle(live)
-    truth = live.page.belief.scene.truth
+    truth = live.workspaces["stack"].page.belief.scene.truth
     assert truth is not None
     # Start offset told as true, commanded equal to it: the overlap holds the midpoint of both.
     assert len(truth) > 10
@@ -96,7 +100,7 @@ def test_the_score_counts_and_gives_the_interval(live, bench):
     bench.tell_trial(2)
     bench.tell_end(Outcome.FELL)
     settle(live)
-    score = live.page.score
+    score = live.workspaces["stack"].page.score
     assert score._count.text() == "1 of 2 placed"
     assert score._rate.text() == "50 % success, 95 % interval 9 to 91 %"
 
@@ -112,32 +116,35 @@ def test_a_trial_without_a_verdict_still_says_how_it_ended(live, bench):
     bench.tell_start()
     bench.tell_end(Outcome.FELL, -2.0)
     settle(live)
-    assert live.page.decision._verdict.text().endswith("Trial 1 fell")
-    assert live.page.decision._margin.text() == "\N{MINUS SIGN}2.0 mm"
+    assert live.workspaces["stack"].page.decision._verdict.text().endswith("Trial 1 fell")
+    assert live.workspaces["stack"].page.decision._margin.text() == "\N{MINUS SIGN}2.0 mm"
 
 
 @pytest.mark.parametrize("outcome", list(Outcome))
 def test_a_margin_stands_beside_an_outcome_only_after_a_release(live, bench, outcome):
     told(live, bench, outcome)
     released = outcome not in (Outcome.GAVE_UP, Outcome.ABORTED)
-    assert live.page.decision._margin.text() == ("+1.6 mm" if released else "")
-    assert live.page.decision._caption.isVisible() == released
-    assert live.page.strip.thumbnails[1].caption.text() == "2: est. \N{MINUS SIGN}1.1 mm"
+    assert live.workspaces["stack"].page.decision._margin.text() == ("+1.6 mm" if released else "")
+    assert live.workspaces["stack"].page.decision._caption.isVisible() == released
+    assert (
+        live.workspaces["stack"].page.strip.thumbnails[1].caption.text()
+        == "2: est. \N{MINUS SIGN}1.1 mm"
+    )
 
 
 def test_an_outcome_stays_until_the_next_trial_has_a_map(live, bench):
     told(live, bench, Outcome.PLACED)
     bench.tell_trial(2)
     settle(live)
-    assert live.page.belief.scene.truth is not None
-    assert live.page.decision._verdict.text().endswith("Trial 1 placed")
-    assert live.page.decision._caption.text() == "true margin"
+    assert live.workspaces["stack"].page.belief.scene.truth is not None
+    assert live.workspaces["stack"].page.decision._verdict.text().endswith("Trial 1 placed")
+    assert live.workspaces["stack"].page.decision._caption.text() == "true margin"
     bench.tell_probe(1, (5.0, 1.0), -2.0)
     settle(live)
-    assert live.page.belief.scene.truth is None
-    assert live.page.belief.scene.path == ((5.0, 1.0),)
-    assert live.page.decision._verdict.text().endswith("Would fall")
-    assert live.page.decision._caption.text() == "estimated margin"
+    assert live.workspaces["stack"].page.belief.scene.truth is None
+    assert live.workspaces["stack"].page.belief.scene.path == ((5.0, 1.0),)
+    assert live.workspaces["stack"].page.decision._verdict.text().endswith("Would fall")
+    assert live.workspaces["stack"].page.decision._caption.text() == "estimated margin"
 
 
 def test_a_new_run_empties_map_and_message(live, bench):
@@ -147,19 +154,19 @@ def test_a_new_run_empties_map_and_message(live, bench):
     settle(live)
     assert live.window._message.text() == ""
     assert live.window._message.toolTip() == ""
-    assert live.page.belief.scene.belief is None
-    assert live.page.strip.thumbnails == []
+    assert live.workspaces["stack"].page.belief.scene.belief is None
+    assert live.workspaces["stack"].page.strip.thumbnails == []
 
 
 @pytest.mark.parametrize(("key", "mode"), [(Qt.Key.Key_A, "approve"), (Qt.Key.Key_N, "step")])
 def test_approval_is_asked_and_given_by_key(live, bench, key, mode):
-    live.page.run.show_form(RunForm(mode=mode))
+    live.workspaces["stack"].page.run.show_form(RunForm(mode=mode))
     told(live, bench)
     QTest.keyClick(live.window, key)
     assert bench.answers == []  # nothing waits: nothing is approved in advance
     bench.set_state(RunState.RUNNING, awaiting=action((4.4, 1.9), -1.1))
     settle(live)
-    assert live.page.decision.approve.isVisible()
+    assert live.workspaces["stack"].page.decision.approve.isVisible()
     assert live.bar.pill.state.word == "YOUR TURN"
     QTest.keyClick(live.window, key)
     assert bench.answers == [True]
@@ -168,16 +175,16 @@ def test_approval_is_asked_and_given_by_key(live, bench, key, mode):
 def test_declining(live, bench):
     bench.set_state(RunState.RUNNING, awaiting=action((4.4, 1.9), -1.1))
     settle(live)
-    live.page.decision.decline.click()
+    live.workspaces["stack"].page.decision.decline.click()
     assert bench.answers == [False]
 
 
 def test_letters_do_nothing_in_a_text_field(live, bench):
     bench.set_state(RunState.RUNNING)
     settle(live)
-    live.page.run._seed.setEnabled(True)
-    live.page.run._seed.setFocus()
-    QTest.keyClick(live.page.run._seed, Qt.Key.Key_P)
+    live.workspaces["stack"].page.run._seed.setEnabled(True)
+    live.workspaces["stack"].page.run._seed.setFocus()
+    QTest.keyClick(live.workspaces["stack"].page.run._seed, Qt.Key.Key_P)
     assert bench.engine.orders == []
 
 
@@ -196,22 +203,22 @@ def test_a_fault_becomes_a_card_until_reset(live, bench):
 
 def test_stale_by_the_windows_own_clock(live, bench):
     now_s = [1000.0]
-    live.live._now_s = lambda: now_s[0]
-    live.live._chips_s = 0.0
+    live.workspaces["stack"].live._now_s = live._chips._now_s = lambda: now_s[0]
+    live._chips._drawn_s = 0.0
     bench.turn(0.04)
     settle(live)
     assert live.bar.chips["tactile_left"].value.state == "ready"
     now_s[0] += 0.201
-    live.live._chips_s = 0.0
+    live._chips._drawn_s = 0.0
     settle(live)
     assert live.bar.chips["tactile_left"].value.state == "stale"
-    assert live.page.tactile["left"]._age.value == "stale"
+    assert live.workspaces["stack"].page.tactile["left"]._age.value == "stale"
     now_s[0] += 2.0
     settle(live)
-    assert live.page.tactile["left"]._age.value == "gone"
+    assert live.workspaces["stack"].page.tactile["left"]._age.value == "gone"
     bench.turn(0.04)
     settle(live)
-    assert live.page.tactile["left"]._age.value == "fresh"
+    assert live.workspaces["stack"].page.tactile["left"]._age.value == "fresh"
 
 
 @pytest.mark.parametrize(
@@ -220,20 +227,20 @@ def test_stale_by_the_windows_own_clock(live, bench):
 def test_lost_frames_are_not_taken_for_markers(live, bench, lost, said):
     bench.devices["tactile_left"].lost = lost
     bench.turn(0.04)
-    live.live._chips_s = 0.0
+    live._chips._drawn_s = live.workspaces["stack"].live._headers_s = 0.0
     settle(live)
-    assert live.page.tactile_panels["left"].detail.text().endswith(said)
+    assert live.workspaces["stack"].page.tactile_panels["left"].detail.text().endswith(said)
     noun = "frame" if lost == 1 else "frames"
     assert f"{lost} {noun} lost" in live.bar.chips["tactile_left"].toolTip()
     assert "0 samples lost" in live.bar.chips["force_torque"].toolTip()
 
 
 def test_every_frame_is_drawn_once(live, bench):
-    before = live.live.frames_shown["left"]
+    before = live.workspaces["stack"].live.frames_shown["left"]
     for _ in range(10):
         bench.turn(0.04)
         settle(live, 5)
-    assert live.live.frames_shown["left"] == before + 10
+    assert live.workspaces["stack"].live.frames_shown["left"] == before + 10
 
 
 def test_simulated_is_said_in_banner_pill_and_title(live):
@@ -259,7 +266,7 @@ def test_an_unexpected_failure_also_ends_the_connecting(main, qtbot, monkeypatch
         raise KeyError("nobody expected this")
 
     main.connect_bench(fail)
-    qtbot.waitUntil(lambda: bool(main._arriving), timeout=3000)
+    qtbot.waitUntil(lambda: bool(main._arrival._arrived), timeout=3000)
     settle(main)
     assert main.bar.pill.state.word == "NO DEVICES"
 
@@ -269,7 +276,7 @@ def test_a_bench_that_cannot_be_built_is_a_card(main, qtbot):
         raise OSError("no such model")
 
     main.connect_bench(fail)
-    qtbot.waitUntil(lambda: bool(main._arriving), timeout=3000)
+    qtbot.waitUntil(lambda: bool(main._arrival._arrived), timeout=3000)
     settle(main)
     assert main.cards.codes == ("CONNECT",)
     assert "no such model" in main.cards.card("CONNECT").text.what

@@ -28,7 +28,7 @@ def press(key):
 
 def put_focus(main, place):
     """Open what the case names; return what closes it again."""
-    run = main.page.run
+    run = main.workspaces["stack"].page.run
     if place == "combo":
         run._piece.setFocus()
     elif place == "spin box":
@@ -55,7 +55,7 @@ def put_focus(main, place):
 
 @pytest.mark.parametrize(("page", "place"), CASES)
 def test_f12_stops_exactly_once_from_everywhere(live, bench, qtbot, page, place):
-    live.window.show_page(page)
+    live.go(page)
     close = put_focus(live, place)
     QApplication.processEvents()
     press(Qt.Key.Key_F12)
@@ -83,7 +83,7 @@ def test_f12_stops_inside_a_modal_loop(live, bench):
 
 
 def test_space_stops_only_while_something_moves(live, bench):
-    live.page.belief.setFocus()
+    live.workspaces["stack"].page.belief.setFocus()
     press(Qt.Key.Key_Space)
     assert bench.stops == 0
     bench.set_state(RunState.RUNNING)
@@ -99,7 +99,7 @@ def test_space_stops_while_the_arm_moves_without_a_run(live, bench):
 
 def test_space_is_a_space_in_a_text_field(live, bench):
     bench.set_state(RunState.RUNNING)
-    live.page.run._seed.setFocus()
+    live.workspaces["stack"].page.run._seed.setFocus()
     QApplication.processEvents()
     press(Qt.Key.Key_Space)
     assert bench.stops == 0
@@ -108,7 +108,7 @@ def test_space_is_a_space_in_a_text_field(live, bench):
 def test_space_never_presses_a_button_while_moving(live, bench):
     bench.set_state(RunState.RUNNING)
     settle(live)
-    live.page.run.cancel.setFocus()
+    live.workspaces["stack"].page.run.cancel.setFocus()
     press(Qt.Key.Key_Space)
     assert bench.stops == 1
     assert bench.engine.orders == []
@@ -140,13 +140,13 @@ def test_the_button_stops_on_the_press(live, bench, qtbot):
 def test_stop_needs_reset_before_the_next_start(live, bench, qtbot):
     press(Qt.Key.Key_F12)
     settle(live)
-    assert not live.page.run.start.isEnabled()
+    assert not live.workspaces["stack"].page.run.start.isEnabled()
     assert live.cards.codes == ("STOPPED",)
     live.cards.card("STOPPED")._act()
     assert bench.resets == 1
     settle(live)
     assert live.cards.codes == ()
-    assert live.page.run.start.isEnabled()
+    assert live.workspaces["stack"].page.run.start.isEnabled()
 
 
 def test_stop_before_a_bench_is_there_is_harmless(main, qtbot):

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from app.activity import ACTIVE, busy
 from app.link import Link
 from app.run_story import ProbeLook, RunStory, TrialStory, scene_of
-from app.stack_page import StackPage
+from app.stack.page import StackPage
 from app.tally import wilson
 from backend.core.facts import Fact, TrialFinished
 from backend.core.faults import InputError, RefusedError
 from backend.core.flow import FloatArray, Outcome
-from backend.devices.protocols import RobotMode
 from backend.objects.catalogue import Piece
 from backend.runs.requests import Mode, RunState, RunStatus, StackRequest, Strategy
 from widgets.belief_scene import BeliefScene
@@ -25,11 +25,6 @@ from widgets.probe_strip import caption_of
 from widgets.run_panel import RunButtons, RunForm
 from widgets.score_panel import WORDS, Score
 
-ACTIVE = frozenset(
-    {RunState.PREPARING, RunState.RUNNING, RunState.PAUSING, RunState.PAUSED, RunState.CANCELLING,
-     RunState.FINISHING}
-)  # fmt: skip
-MOVING = ACTIVE - {RunState.PAUSED}
 RELEASED = frozenset({Outcome.PLACED, Outcome.FELL, Outcome.KNOCKED_OVER})
 
 
@@ -49,7 +44,7 @@ class StackPresenter:
 
     def start(self) -> None:
         """Begin the run that is filled in."""
-        if self.busy():
+        if busy(self._link):
             return
         try:
             self._link.start(request_of(self._page.run.form()))
@@ -88,19 +83,6 @@ class StackPresenter:
         last = len(trial.probes) - 1 if trial is not None else 0
         self._chosen = None if index >= last else index
         self._shown_version = -1
-
-    def busy(self) -> bool:
-        """Whether a run is active."""
-        return self._link.status().state in ACTIVE
-
-    def moving(self) -> bool:
-        """Whether something may be moving (Space then means STOP)."""
-        status = self._link.status()
-        if status.state in MOVING and status.awaiting is None:
-            return True
-        arm = self._link.devices.get("arm")
-        mode = getattr(arm, "status", None)
-        return mode is not None and mode().robot_mode is RobotMode.MOVING
 
     # -- showing ----------------------------------------------------------------------------------
 

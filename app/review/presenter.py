@@ -7,8 +7,8 @@ from pathlib import Path
 
 from PySide6.QtCore import QTimer
 
-from app.review_page import ReviewPage
-from app.run_lines import read_run_line
+from app.review.page import ReviewPage
+from app.review.run_lines import read_run_line
 from app.run_story import RunStory, TrialStory, scene_of
 from app.tally import wilson
 from backend.core.facts import Said, TrialFinished

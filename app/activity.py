@@ -1,0 +1,28 @@
+"""Whether something goes on at the bench: asked by the frame, not by one workspace."""
+
+from __future__ import annotations
+
+from app.link import Link
+from backend.devices.protocols import RobotMode
+from backend.runs.requests import RunState
+
+ACTIVE = frozenset(
+    {RunState.PREPARING, RunState.RUNNING, RunState.PAUSING, RunState.PAUSED, RunState.CANCELLING,
+     RunState.FINISHING}
+)  # fmt: skip
+MOVING = ACTIVE - {RunState.PAUSED}
+
+
+def busy(link: Link) -> bool:
+    """Whether a run is active."""
+    return link.status().state in ACTIVE
+
+
+def moving(link: Link) -> bool:
+    """Whether something may be moving (Space then means STOP)."""
+    status = link.status()
+    if status.state in MOVING and status.awaiting is None:
+        return True
+    arm = link.devices.get("arm")
+    mode = getattr(arm, "status", None)
+    return mode is not None and mode().robot_mode is RobotMode.MOVING

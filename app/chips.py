@@ -1,0 +1,76 @@
+"""Presenter of the top bar: one chip per device, and both status words of the arm."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from app.link import Link
+from backend.devices.protocols import Arm, Device, DeviceState
+from widgets.device_chip import ChipState, ChipValue
+from widgets.freshness import Age, Freshness
+from widgets.top_bar import CHIPS, TopBar
+
+PERIOD_S = 0.25
+_STATES: dict[DeviceState, ChipState] = {
+    DeviceState.CLOSED: "closed",
+    DeviceState.CONNECTING: "connecting",
+    DeviceState.READY: "ready",
+    DeviceState.FAULT: "fault",
+}
+
+
+class ChipsPresenter:
+    """Shows what the devices say of themselves, four times a second."""
+
+    def __init__(
+        self, link: Link, bar: TopBar, now_s: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._link, self._bar, self._now_s = link, bar, now_s
+        self._fresh = {key: Freshness() for key, _ in CHIPS}
+        self._drawn_s = float("-inf")
+
+    def draw(self) -> bool:
+        """Update chips and modes; True when it did."""
+        now_s = self._now_s()
+        if now_s - self._drawn_s < PERIOD_S:
+            return False
+        self._drawn_s = now_s
+        devices = self._link.devices
+        for key, _ in CHIPS:
+            device = devices.get(key)
+            if device is not None:
+                self._bar.chips[key].show_value(self._chip(key, device, now_s))
+        arm = devices.get("arm")
+        if arm is not None:
+            status = _arm(arm).status()
+            self._bar.show_modes(status.robot_mode.value, status.safety_mode.value)
+        return True
+
+    def _chip(self, key: str, device: Device, now_s: float) -> ChipValue:
+        health, fresh = device.health, self._fresh[key]
+        fresh.note(health.received, now_s)
+        state: ChipState = _STATES[device.state]
+        age = fresh.judge(now_s)
+        if state == "ready" and age in (Age.STALE, Age.GONE):
+            state = "stale"
+            detail = f"stale {fresh.age_s(now_s):.1f} s"
+        elif device.state is DeviceState.READY:
+            detail = f"{health.rate_hz:.0f} Hz, {1e3 * max(health.age_s, 0):.0f} ms"
+        else:
+            detail = device.state.value
+        who = device.identity
+        lost = lost_words(health.lost, "frame" if key.startswith("tactile") else "sample")
+        tip = f"{device.state.value}, {detail}; {health.received} received, {lost}"
+        if who is not None:
+            tip = f"{who.maker} {who.model}, serial {who.serial}\n{tip}"
+        return ChipValue(state, detail, health.lost, tip)
+
+
+def lost_words(count: int, noun: str) -> str:
+    """Name what was lost: beside the count of markers a bare number reads as markers."""
+    return f"{count} {noun} lost" if count == 1 else f"{count} {noun}s lost"
+
+
+def _arm(device: Device) -> Arm:
+    return device  # type: ignore[return-value]

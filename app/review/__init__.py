@@ -1,0 +1,1 @@
+"""The Review workspace: recorded runs told again."""

@@ -1,0 +1,1 @@
+"""The Stack workspace: one piece stacked by touch, seen, judged and approved."""

@@ -1,0 +1,20 @@
+"""The form of a run as it is remembered."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+
+from widgets.run_panel import RunForm
+
+
+def form_of(memory: Mapping[str, object]) -> tuple[RunForm, list[str]]:
+    """Return (form, names of what made no sense); those fields get their defaults."""
+    default, known, dropped = RunForm(), {}, []
+    for entry in fields(RunForm):
+        value = memory.get(entry.name, getattr(default, entry.name))
+        if type(value) is type(getattr(default, entry.name)):
+            known[entry.name] = value
+        else:
+            dropped.append(entry.name)
+    return RunForm(**known), dropped  # type: ignore[arg-type]

@@ -1,0 +1,110 @@
+"""The Stack workspace as the frame sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+
+from app.link import Link
+from app.live import LivePresenter, LiveViews
+from app.stack.form import form_of
+from app.stack.page import StackIntents, StackPage
+from app.stack.presenter import StackPresenter
+from app.stack.side import SidePresenter
+from app.workspace import Command, Desk, Memory, Workspace
+from backend.core.facts import Fact
+from widgets.decision_panel import NOTHING_YET
+from widgets.run_panel import RunForm
+
+
+class StackWorkspace(Workspace):
+    """Fingers, traces, belief, decision, score; one run at a time."""
+
+    name, title, key = "stack", "Stack", "Ctrl+4"
+    page: StackPage
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        intents = StackIntents(self._start, self._pause, self._cancel, self._approve,
+                               self._decline, self._choose)  # fmt: skip
+        self.page = StackPage(desk.theme, intents)
+        self.live: LivePresenter | None = None
+        self.presenter: StackPresenter | None = None
+        self.side: SidePresenter | None = None
+        self._form = RunForm()
+        self.commands = (
+            Command("start", "Start stacking", "Ctrl+Return", self._start),
+            Command("step", "Next step: carry out the move that waits", "N", self._approve),
+            Command("approve", "Approve the move that waits", "A", self._approve),
+            Command("pause", "Pause or resume", "P", self._pause),
+            Command("fit", "Fit the force and moment ranges", "Ctrl+F", self.page.fit),
+        )  # fmt: skip
+
+    def attach(self, link: Link) -> None:
+        """Show this bench."""
+        page, shown = self.page, link.catalogue
+        views = LiveViews(page.tactile, page.tactile_panels, page.force, page.moment)
+        self.live = LivePresenter(link, views)
+        self.presenter = StackPresenter(link, page, self._desk.cards)
+        self.side = SidePresenter(link, page.side, page.side_panel)
+        page.run.show_catalogue(
+            [(name, shown.piece(name).title) for name in shown.tops],
+            [(name, shown.piece(name).title) for name in shown.bottoms],
+        )
+        page.run.show_form(self._form)
+        page.decision.show_text(NOTHING_YET)
+        self.parts = (
+            self.live.draw_left, self.live.draw_right, self.live.draw_wrench,
+            self.live.draw_headers, self.presenter.draw, self.side.draw,
+        )  # fmt: skip
+
+    def take(self, fact: Fact) -> None:
+        """Follow the run, whichever page is in front."""
+        if self.presenter is not None and self.side is not None:
+            self.presenter.take(fact)
+            self.side.take(fact)
+
+    def show_waiting(self, word: str, why: str) -> None:
+        """Say why there is no bench yet."""
+        self.page.show_waiting(word, why)
+
+    def fit_to_theme(self) -> None:
+        """Take sizes and icons of the theme."""
+        self.page.fit_to_theme()
+        self.page.run.draw_icons()
+
+    def memory(self) -> Memory:
+        """Return the form; without a bench it was never filled in: then what was remembered."""
+        return asdict(self._form if self.presenter is None else self.page.run.form())
+
+    def recall(self, memory: Memory) -> Sequence[str]:
+        """Fill in the remembered form."""
+        self._form, dropped = form_of(memory)
+        self.page.run.show_form(self._form)
+        return dropped
+
+    # -- orders -----------------------------------------------------------------------------------
+
+    def _start(self) -> None:
+        if self.presenter is not None:
+            self.presenter.start()
+
+    def _pause(self) -> None:
+        if self.presenter is not None:
+            self.presenter.pause_or_resume()
+
+    def _cancel(self) -> None:
+        if self.presenter is not None:
+            self.presenter.cancel()
+
+    def _approve(self) -> None:
+        if self.presenter is not None:
+            self.presenter.approve()
+
+    def _decline(self) -> None:
+        if self.presenter is not None:
+            self.presenter.decline()
+
+    def _choose(self, index: int) -> None:
+        if self.presenter is not None:
+            self.presenter.choose(index)

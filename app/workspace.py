@@ -1,0 +1,97 @@
+"""What the frame asks of a workspace. A new one is a class here and a row in ``workspaces``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from PySide6.QtWidgets import QWidget
+
+from app.link import Link
+from backend.core.facts import Fact
+from widgets.fault_cards import FaultCards
+from widgets.theme import Theme
+
+Memory = Mapping[str, object]
+"""What a workspace remembers from one start to the next, JSON-ready."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One thing to do: a row of the key sheet, an entry of the palette, a key that can be changed.
+
+    A key without Ctrl, Alt or function key is off while a text field has the focus; "" is no key.
+    ``repeats``: a held key acts again and again (only for what moves nothing).
+    """
+
+    name: str
+    text: str
+    key: str
+    run: Callable[[], None]
+    repeats: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Desk:
+    """What the frame lends to its workspaces. ``runs`` is the folder of the recorded runs.
+
+    ``say`` shows a sentence in the foot, ``go`` brings a workspace to the front by name.
+    """
+
+    theme: Theme
+    cards: FaultCards
+    runs: Path
+    say: Callable[[str], None]
+    go: Callable[[str], None]
+
+
+class Workspace:
+    """One tab of the window: a page, its commands, and how it follows the bench.
+
+    All is called on the window's thread and must return at once. The defaults do nothing.
+    """
+
+    name: str
+    """One word, used in files."""
+    title: str
+    """What the rail says."""
+    key: str
+    page: QWidget
+    commands: Sequence[Command] = ()
+    held_keys: Sequence[tuple[str, str]] = ()
+    """(key, text) of keys that act while they are held; the page handles them itself."""
+    parts: Sequence[Callable[[], None]] = ()
+    """What draws the page, in pieces of few ms; called in turn while the page is in front."""
+
+    def attach(self, link: Link) -> None:
+        """Take a bench that is ready."""
+
+    def take(self, fact: Fact) -> None:
+        """Take one fact of the bench, also while another page is in front."""
+
+    def show_waiting(self, word: str, why: str) -> None:
+        """Say why there is no bench yet."""
+
+    def enter(self) -> None:
+        """Come to the front."""
+
+    def leave(self) -> None:
+        """Go behind another page: end whatever must not go on unseen."""
+
+    def fit_to_theme(self) -> None:
+        """Take the sizes and icons of the theme, which changed."""
+
+    def reset_layout(self) -> None:
+        """Put the page back as it was at the first start."""
+
+    def memory(self) -> Memory:
+        """Return what to remember."""
+        return {}
+
+    def recall(self, memory: Memory) -> Sequence[str]:
+        """Take what was remembered; return the names of fields that make no sense."""
+        return ()
+
+    def close(self) -> None:
+        """End what runs beside the window."""

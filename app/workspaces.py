@@ -1,0 +1,13 @@
+"""The workspaces of the window, in the order of the rail."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from app.review.workspace import ReviewWorkspace
+from app.stack.workspace import StackWorkspace
+from app.workspace import Desk, Workspace
+
+WORKSPACES: tuple[Callable[[Desk], Workspace], ...] = (StackWorkspace, ReviewWorkspace)
+FIRST = "stack"
+"""In front at the first start."""

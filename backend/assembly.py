@@ -106,7 +106,7 @@ class SimulatedScoring:
             truth.knocked_over,
             truth.margin_mm,
             truth.fall,
-            truth.contradicted is True,
+            truth.contradicted,
         )
 
 
@@ -171,8 +171,8 @@ def simulated_session(
     >>> session.hub.subscribe(print)                                     # doctest: +SKIP
     >>> session.run(StackRequest(piece="pot", bottoms=("short",), seed=7))  # doctest: +SKIP
 
-    ``animate`` makes the fall of a piece available where MuJoCo is installed. Raises
-    ``InputError`` for bad settings.
+    ``animate`` asks MuJoCo, where it is installed, after every release: for the motion of a fall
+    and as second judge (0.4 s). Raises ``InputError`` for bad settings.
     """
     choice = choice or SimulatedBenchChoice()
     settings, disturbances = choice.settings(), choice.disturbances

@@ -138,6 +138,7 @@ class TrialFinished(Fact):
     """How the trial ended. ``margin_mm``: true margin on a simulated bench, else the estimate.
 
     ``excess_probes``: probes beyond the least number that 3 mm steps need (None if unknown).
+    ``contradicted``: a second judge of the release says otherwise (None if none was asked).
     """
 
     trial: int
@@ -147,6 +148,7 @@ class TrialFinished(Fact):
     probes: int
     excess_probes: int | None
     margin_mm: float | None
+    contradicted: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)

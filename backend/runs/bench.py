@@ -63,14 +63,14 @@ class EpisodeStore(Protocol):
 class ReleaseVerdict:
     """What a bench with known truth says after the jaws opened.
 
-    ``contradicted``: a second judge, where there is one, says otherwise beyond its own error.
+    ``contradicted``: a second judge says otherwise beyond its own error (None if not asked).
     """
 
     stands: bool
     knocked_over: bool
     margin_mm: float
     fall: Fall | None
-    contradicted: bool = False
+    contradicted: bool | None = None
 
 
 class Scoring(Protocol):

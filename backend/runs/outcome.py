@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from backend.core.facts import Released, Said, TrialFinished
+from backend.core.facts import Released, TrialFinished
 from backend.core.flow import Outcome
 from backend.runs import words
 from backend.runs.bench import Bench
@@ -17,21 +17,31 @@ def after_release(bench: Bench, probe: int) -> Plan[Ending]:
         return Ending(Outcome.PLACED, "The piece was released; the operator confirms.", probe)
     verdict = bench.scoring.verdict()
     yield Released(bench.now_s(), probe, verdict.stands, verdict.margin_mm, verdict.fall)
-    if verdict.contradicted:
-        yield Said(bench.now_s(), words.CONTRADICTED)
     if verdict.knocked_over:
         return Ending(Outcome.KNOCKED_OVER, "The support was knocked over.", probe)
     outcome = Outcome.PLACED if verdict.stands else Outcome.FELL
-    return Ending(outcome, words.release(verdict.stands, verdict.margin_mm), probe)
+    reason = words.release(verdict.stands, verdict.margin_mm)
+    if verdict.contradicted:
+        reason = f"{reason} {words.CONTRADICTED}"
+    return Ending(outcome, reason, probe)
 
 
 def finished(bench: Bench, trial: int, seed: int, ending: Ending) -> TrialFinished:
     """Return the closing fact of a trial, with the truth where it is known."""
-    margin_mm = excess = None
+    margin_mm = excess = contradicted = None
     if bench.scoring is not None:
-        margin_mm = bench.scoring.verdict().margin_mm
+        verdict = bench.scoring.verdict()
+        margin_mm, contradicted = verdict.margin_mm, verdict.contradicted
         if ending.outcome is Outcome.PLACED:
             excess = max(0, ending.probes - bench.scoring.least_probes())
     return TrialFinished(
-        bench.now_s(), trial, seed, ending.outcome, ending.reason, ending.probes, excess, margin_mm
+        bench.now_s(),
+        trial,
+        seed,
+        ending.outcome,
+        ending.reason,
+        ending.probes,
+        excess,
+        margin_mm,
+        contradicted,
     )

@@ -32,7 +32,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
 
     out = Path(args.out)
     runs: list[list[Fact]] = []
-    session = simulated_session(SimulatedBenchChoice(), keep=Keep(out / "runs"))
+    session = simulated_session(SimulatedBenchChoice(), keep=Keep(out / "runs"), animate=True)
     session.hub.subscribe(lambda fact: runs[-1].append(_with_signals(fact, session.run_folder)))
     session.hub.subscribe(lambda fact: narrate(fact, screen))
     try:

@@ -76,7 +76,8 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         disturbances=tuple(args.inject),
         pieces=Path(args.pieces) if args.pieces else None,
     )
-    session = simulated_session(choice, keep=Keep(runs, episodes=not args.no_episodes))
+    keep = Keep(runs, episodes=not args.no_episodes)
+    session = simulated_session(choice, keep=keep, animate=True)
     trials: list[TrialFinished] = []
     faults: list[FaultRaised] = []
     session.hub.subscribe(lambda fact: _follow(fact, trials, faults))
@@ -173,6 +174,7 @@ def _result(
                 "probes": t.probes,
                 "excess_probes": t.excess_probes,
                 "margin_mm": _finite(t.margin_mm),
+                "contradicted": t.contradicted,
             }
             for t in trials
         ],

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import pytest
 
+from backend.assembly import simulated_session
+from backend.core.facts import Fact, TrialFinished
+from backend.core.flow import Outcome
 from backend.objects.catalogue import load_catalogue
-from backend.objects.tower import Tower
+from backend.objects.tower import Tower, Verdict
+from backend.runs import words
+from backend.runs.requests import StackRequest
 from backend.simulation import scoring
 from backend.simulation.scene import Scene
 
@@ -47,3 +52,39 @@ def test_a_disagreement_beyond_its_error_is_named(monkeypatch: pytest.MonkeyPatc
     opinion = scoring.second_opinion(scene(), (0.0, 0.0), 0.0, STILL)
     assert opinion is not None
     assert opinion[1]
+
+
+def ended(margin_mm: float, fallen: bool, monkeypatch: pytest.MonkeyPatch) -> TrialFinished:
+    """Pick and place at a true margin; the engine says ``fallen``."""
+    plain = scoring.simulate_release
+    monkeypatch.setattr(scoring, "simulate_release", lambda *a, **k: (fallen, plain(*a, **k)[1]))
+    monkeypatch.setattr(scoring, "margin_mm", lambda *_: margin_mm)
+    monkeypatch.setattr(scoring, "judge", lambda *_: Verdict((margin_mm,), ("pot",)))
+    session = simulated_session(animate=True)
+    ends: list[Fact] = []
+    session.hub.subscribe(ends.append)
+    session.run(StackRequest(strategy="pick-and-place"))
+    session.close()
+    (end,) = [fact for fact in ends if isinstance(fact, TrialFinished)]
+    return end
+
+
+@pytest.mark.parametrize(
+    ("margin_mm", "fallen", "contradicted"),
+    [(0.19, True, False), (0.21, True, True), (-0.21, False, True), (-0.21, True, False)],
+)
+def test_a_trial_says_what_the_second_judge_contradicts(
+    margin_mm: float, fallen: bool, contradicted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    end = ended(margin_mm, fallen, monkeypatch)
+    assert end.contradicted is contradicted
+    assert (words.CONTRADICTED in end.reason) == contradicted
+    # The exact judge decides all the same.
+    assert end.outcome is (Outcome.PLACED if margin_mm > 0 else Outcome.FELL)
+
+
+def test_without_the_engine_the_trial_says_that_nobody_was_asked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(scoring, "available", lambda: False)
+    assert ended(1.0, True, monkeypatch).contradicted is None

@@ -13,8 +13,17 @@ import pytest
 
 from backend.__main__ import main
 from backend.runs.journal import NAME
+from backend.simulation.release_mujoco import available
 
-TRIAL_KEYS = {"seed", "outcome", "reason", "probes", "excess_probes", "margin_mm"}
+TRIAL_KEYS = {
+    "seed",
+    "outcome",
+    "reason",
+    "probes",
+    "excess_probes",
+    "margin_mm",
+    "contradicted",
+}
 OUTCOMES = {"placed", "fell", "knocked_over", "gave_up", "aborted"}
 
 
@@ -36,6 +45,8 @@ def test_stack_then_replay_tell_the_same(
     (trial,) = told["trials"]
     assert set(trial) == TRIAL_KEYS
     assert trial["outcome"] in OUTCOMES
+    # The second judge was asked, where there is one.
+    assert trial["contradicted"] in ((False, True) if available() else (None,))
     assert status == (0 if trial["outcome"] == "placed" else 1)
     status, out, err = call(capsys, "replay", "latest", "--runs", runs)
     again = json.loads(out)

@@ -96,15 +96,34 @@ class EpisodeBatch:
 
 
 @dataclass(frozen=True, slots=True)
+class SensorNoise:
+    """What the sensors add to one press.
+
+    ``phase_s``: where the cycle boundaries lie relative to the contact; ``force_n``: errors of the
+    press force on the sample grid; ``wrench`` (20, 6) at the ticks, N and N·m.
+    """
+
+    phase_s: float
+    force_n: FloatArray
+    wrench: FloatArray
+    camera: camera.CameraDraw
+
+
+@dataclass(frozen=True, slots=True)
+class Eye:
+    """How marker fields arise (``gel``) and how unseen markers are filled in (``infer``)."""
+
+    gel: Gel
+    infer: camera.Infer = fill_field
+
+
+@dataclass(frozen=True, slots=True)
 class _Drawn:
     """All that is random in one probe."""
 
     offset_mm: FloatArray
     probe: nuisance.ProbeDraw
-    phase_s: float
-    force_noise_n: FloatArray
-    wrench_noise: FloatArray
-    camera: camera.CameraDraw
+    noise: SensorNoise
 
 
 def simulate(
@@ -133,14 +152,8 @@ class _Bench:
 
     def __init__(self, plan: Plan, infer: camera.Infer) -> None:
         self.plan = plan
-        self.infer = infer
-        tactile = plan.settings.tactile
-        self.gel: Gel = build_gel(
-            tactile.mm_per_px, tactile.pitch_mm, tactile.roll_off_mm, tactile.dilation
-        )
-        self.rule = OnsetRule(
-            threshold_n=plan.probe.threshold_n, rate_hz=plan.settings.wrist.rate_hz
-        )
+        self.eye = Eye(gel_of(plan.settings), infer)
+        self.rule = rule_of(plan.settings, plan.probe)
         self.cycle_s = 1e-6 * plan.settings.cycle_us
 
     def gripping(self, grip: int) -> tuple[nuisance.Mounting, nuisance.Gripping]:
@@ -180,16 +193,11 @@ class _Bench:
         raise RuntimeError(f"{len(waiting)} probes of {self.plan.piece} failed {ATTEMPTS} times")
 
     def _draw(self, grip: int, number: int, attempt: int) -> _Drawn:
-        plan, wrist = self.plan, self.plan.settings.wrist
+        plan = self.plan
         rng = nuisance.generator(plan.seed, Scope.PROBE, plan.pair, grip, number, attempt)
         offset = self._draw_offset(rng)
         probe = nuisance.draw_probe(plan.settings, rng)
-        phase = self.cycle_s * float(rng.random())
-        force = wrist.white_n * rng.standard_normal(noise_samples(self.rule, self.cycle_s))
-        noise = _wrench_noise(plan.settings, rng)
-        return _Drawn(
-            offset, probe, phase, force, noise, camera.draw_camera(plan.settings.tactile, rng)
-        )
+        return _Drawn(offset, probe, draw_noise(plan.settings, self.rule, rng))
 
     def _draw_offset(self, rng: np.random.Generator) -> FloatArray:
         """Return (2,) uniform over displacements with enough overlap."""
@@ -228,8 +236,8 @@ class _Bench:
         )
         pressed = press(
             state,
-            np.array([d.phase_s for d in drawn]),
-            np.stack([d.force_noise_n for d in drawn]),
+            np.array([d.noise.phase_s for d in drawn]),
+            np.stack([d.noise.force_n for d in drawn]),
             plan.probe,
             self.rule,
             self.cycle_s,
@@ -238,7 +246,9 @@ class _Bench:
         after = _regrasped(Carried(pressed.state.slip, pressed.state.relaxed))
         mounting = np.array(grips) // plan.grips_per_mounting
         batch = EpisodeBatch(
-            observation=self._observe(pressed, drawn, conditions),
+            observation=observe(
+                pressed, conditions, plan.settings, [d.noise for d in drawn], self.eye
+            ),
             offset_mm=commanded,
             true_offset_mm=true,
             patch=plan.bottom_outline.contains(plan.face_points_mm + commanded[:, None, :]),
@@ -250,38 +260,59 @@ class _Bench:
             mounting=mounting,
             rejected=0,
         )
-        return batch, after, _usable(pressed, conditions, plan.probe)
+        return batch, after, usable(pressed, conditions, plan.probe)
 
-    def _observe(
-        self, pressed: Pressed, drawn: list[_Drawn], conditions: Conditions
-    ) -> NDArray[np.float32]:
-        """Return (n, 20, 258) as the model sees the presses."""
-        settings = self.plan.settings
-        sight = camera.Sight(
-            self.gel,
-            conditions.gain,
-            conditions.bias_px,
-            conditions.grip_force_n,
-            settings.tactile.border_px,
-            self.infer,
-        )
-        fields = camera.fields_at_ticks(
-            pressed.timeline,
-            pressed.air,
-            pressed.ticks_s,
-            [d.camera for d in drawn],
-            sight,
-        )
-        wrench = _mean_wrench(pressed)
-        at_wrist = wrist_wrench(wrench, settings.wrist.height_mm, settings.wrist.yaw_rad)
-        at_wrist += conditions.ft_offset[:, None, :]
-        at_wrist += np.stack([d.wrench_noise for d in drawn])
-        count = len(drawn)
-        seen = np.empty((count, SAMPLES_PER_PROBE, CHANNELS), dtype=np.float32)
-        in_order = fields.swapaxes(-1, -2).reshape(count, SAMPLES_PER_PROBE, TACTILE_CHANNELS)
-        seen[:, :, :TACTILE_CHANNELS] = in_order
-        seen[:, :, TACTILE_CHANNELS:] = at_wrist
-        return seen
+
+def gel_of(settings: SimulationSettings) -> Gel:
+    """Return the gel that the settings describe."""
+    tactile = settings.tactile
+    return build_gel(tactile.mm_per_px, tactile.pitch_mm, tactile.roll_off_mm, tactile.dilation)
+
+
+def rule_of(settings: SimulationSettings, probe: ProbeSettings) -> OnsetRule:
+    """Return how the wrist sensor's samples become a contact."""
+    return OnsetRule(threshold_n=probe.threshold_n, rate_hz=settings.wrist.rate_hz)
+
+
+def draw_noise(
+    settings: SimulationSettings, rule: OnsetRule, rng: np.random.Generator
+) -> SensorNoise:
+    """Draw what the sensors add to one press."""
+    cycle_s = 1e-6 * settings.cycle_us
+    phase_s = cycle_s * float(rng.random())
+    force_n = settings.wrist.white_n * rng.standard_normal(noise_samples(rule, cycle_s))
+    wrench = _wrench_noise(settings, rng)
+    return SensorNoise(phase_s, force_n, wrench, camera.draw_camera(settings.tactile, rng))
+
+
+def observe(
+    pressed: Pressed,
+    conditions: Conditions,
+    settings: SimulationSettings,
+    noise: Sequence[SensorNoise],
+    eye: Eye,
+) -> NDArray[np.float32]:
+    """Return (n, 20, 258) as the model sees n presses."""
+    sight = camera.Sight(
+        eye.gel,
+        conditions.gain,
+        conditions.bias_px,
+        conditions.grip_force_n,
+        settings.tactile.border_px,
+        eye.infer,
+    )
+    fields = camera.fields_at_ticks(
+        pressed.timeline, pressed.air, pressed.ticks_s, [n.camera for n in noise], sight
+    )
+    at_wrist = wrist_wrench(_mean_wrench(pressed), settings.wrist.height_mm, settings.wrist.yaw_rad)
+    at_wrist += conditions.ft_offset[:, None, :]
+    at_wrist += np.stack([n.wrench for n in noise])
+    count = len(noise)
+    seen = np.empty((count, SAMPLES_PER_PROBE, CHANNELS), dtype=np.float32)
+    in_order = fields.swapaxes(-1, -2).reshape(count, SAMPLES_PER_PROBE, TACTILE_CHANNELS)
+    seen[:, :, :TACTILE_CHANNELS] = in_order
+    seen[:, :, TACTILE_CHANNELS:] = at_wrist
+    return seen
 
 
 def _regrasped(carried: Carried) -> Carried:
@@ -314,7 +345,7 @@ def _wrench_noise(settings: SimulationSettings, rng: np.random.Generator) -> Flo
     return np.asarray(noise, dtype=np.float64)
 
 
-def _usable(pressed: Pressed, conditions: Conditions, probe: ProbeSettings) -> NDArray[np.bool_]:
+def usable(pressed: Pressed, conditions: Conditions, probe: ProbeSettings) -> NDArray[np.bool_]:
     """Return (n,) which presses converged, found contact and stay below the sanity bound."""
     both = 2.0 * conditions.shear_n_mm * (1.0 + conditions.alpha)
     series = both * conditions.robot_n_mm[:, 2] / (both + conditions.robot_n_mm[:, 2])

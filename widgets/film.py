@@ -1,0 +1,148 @@
+"""Two tactile films side by side at one cursor time; pictures are decoded when they are shown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from PySide6.QtCore import QElapsedTimer, QTimer
+from PySide6.QtWidgets import QGridLayout, QWidget
+
+from backend.core.flow import (
+    FINGERS,
+    Finger,
+    FloatArray,
+    ImageArray,
+    MarkerField,
+    TactileFrame,
+)
+from widgets.freshness import Age
+from widgets.panel import label
+from widgets.tactile_view import IMAGE_H, IMAGE_W, TactileView
+from widgets.theme import Theme
+
+TICK_MS = 33
+GROUND = 40
+"""Grey of a frame whose picture was not kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class FilmTrack:
+    """One finger: ``picture_t_s`` (n,) and how to get picture i; ``fields`` in order of time.
+
+    All times are after the contact onset. Without pictures the arrows stand on a plain ground.
+    """
+
+    picture_t_s: FloatArray
+    picture: Callable[[int], ImageArray]
+    field_t_s: FloatArray
+    fields: Sequence[MarkerField]
+
+
+Reel = Mapping[Finger, FilmTrack]
+
+
+def latest(t_s: FloatArray, cursor_s: float) -> int:
+    """Return the index of the newest sample not later than the cursor, -1 before the first."""
+    return int(np.searchsorted(t_s, cursor_s + 1e-9, side="right")) - 1
+
+
+class Film(QWidget):
+    """Shows a reel; ``seek`` is told where playing or stepping moves the cursor."""
+
+    def __init__(self, theme: Theme, seek: Callable[[float], None]) -> None:
+        super().__init__()
+        self._seek = seek
+        self._reel: Reel = {}
+        self._span_s = (0.0, 2.0)
+        self.cursor_s = 0.0
+        self.views = {finger: TactileView(theme, finger) for finger in FINGERS}
+        self.notes = {finger: label("", "small") for finger in FINGERS}
+        grid = QGridLayout(self)
+        grid.setContentsMargins(0, 0, 0, 0)
+        grid.setSpacing(4)
+        for column, finger in enumerate(FINGERS):
+            grid.addWidget(self.notes[finger], 0, column)
+            grid.addWidget(self.views[finger], 1, column)
+            grid.setColumnStretch(column, 1)
+        self._clock = QElapsedTimer()
+        self._from_s = 0.0
+        self._timer = QTimer(self)
+        self._timer.setInterval(TICK_MS)
+        self._timer.timeout.connect(self._turn)
+
+    @property
+    def playing(self) -> bool:
+        """Whether the film runs."""
+        return self._timer.isActive()
+
+    def show_reel(self, reel: Reel, span_s: tuple[float, float], cursor_s: float) -> None:
+        """Show another probe, which lasts from ``span_s[0]`` to ``span_s[1]``."""
+        self._timer.stop()
+        self._reel, self._span_s = reel, span_s
+        self.show_cursor(cursor_s)
+
+    def show_cursor(self, t_s: float) -> None:
+        """Show what each finger saw last at this time."""
+        self.cursor_s = t_s
+        for finger in FINGERS:
+            self._show_finger(finger, self._reel.get(finger))
+
+    def play_or_pause(self) -> None:
+        """Play from the cursor, from the start if it is at the end; or pause."""
+        if self._timer.isActive():
+            self._timer.stop()
+            return
+        at_end = self.cursor_s >= self._span_s[1] - 1e-6
+        self._from_s = self._span_s[0] if at_end else self.cursor_s
+        self._clock.start()
+        self._timer.start()
+
+    def stop(self) -> None:
+        """Stand still."""
+        self._timer.stop()
+
+    def step(self, by: int) -> None:
+        """Move the cursor to the next (1) or former (-1) frame of any finger."""
+        self._timer.stop()
+        stamps = np.unique([t_s for track in self._reel.values() for t_s in _stamps(track)])
+        later, earlier = (
+            stamps[stamps > self.cursor_s + 1e-9],
+            stamps[stamps < self.cursor_s - 1e-9],
+        )
+        found = later[:1] if by > 0 else earlier[-1:]
+        if len(found):
+            self._seek(float(found[0]))
+
+    def _turn(self) -> None:
+        at_s = self._from_s + self._clock.elapsed() * 1e-3
+        if at_s >= self._span_s[1]:
+            self._timer.stop()
+        self._seek(min(at_s, self._span_s[1]))
+
+    def _show_finger(self, finger: Finger, track: FilmTrack | None) -> None:
+        view, note = self.views[finger], self.notes[finger]
+        field = None
+        if track is not None:
+            at = latest(track.field_t_s, self.cursor_s)
+            field = track.fields[at] if at >= 0 else None
+        index = latest(track.picture_t_s, self.cursor_s) if track is not None else -1
+        if track is None or (field is None and index < 0):
+            view.show_age(Age.GONE, 0.0, "Nothing was recorded at this time.")
+            note.setText(finger)
+            return
+        view.show_age(Age.FRESH, 0.0, "")
+        if index >= 0:
+            image, t_s = track.picture(index), float(track.picture_t_s[index])
+            note.setText(f"{finger}, frame {index + 1} of {len(track.picture_t_s)}")
+        else:
+            image = np.full((IMAGE_H, IMAGE_W, 3), GROUND, dtype=np.uint8)
+            t_s = self.cursor_s
+            kept = len(track.picture_t_s) > 0
+            note.setText(f"{finger}, {'before the first picture' if kept else 'no picture kept'}")
+        view.show_frame(TactileFrame(finger, index, t_s, image), field)
+
+
+def _stamps(track: FilmTrack) -> FloatArray:
+    return track.picture_t_s if len(track.picture_t_s) else track.field_t_s

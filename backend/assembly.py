@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.resources import files
@@ -22,7 +22,7 @@ from backend.objects.catalogue import Catalogue, Piece, load_catalogue
 from backend.objects.starts import draw_start
 from backend.objects.tower import Tower, judge
 from backend.placement.estimator import Estimator
-from backend.runs.bench import NoModel, ReleaseVerdict
+from backend.runs.bench import Estimate, NoModel, ReleaseVerdict
 from backend.runs.requests import SceneChoice
 from backend.runs.stage import Stage
 from backend.sensing.live import RawStreams
@@ -164,6 +164,7 @@ def simulated_session(
     keep: Keep | None = None,
     method: StackSettings | None = None,
     animate: bool = False,
+    estimate: Callable[[SimulatedBench], Estimate] | None = None,
 ) -> Session:
     """Return a session on the simulated bench.
 
@@ -172,7 +173,8 @@ def simulated_session(
     >>> session.run(StackRequest(piece="pot", bottoms=("short",), seed=7))  # doctest: +SKIP
 
     ``animate`` asks MuJoCo, where it is installed, after every release: for the motion of a fall
-    and as second judge (0.4 s). Raises ``InputError`` for bad settings.
+    and as second judge (0.4 s). ``estimate`` makes what stands in for the trained model on a new
+    bench. Raises ``InputError`` for bad settings.
     """
     choice = choice or SimulatedBenchChoice()
     settings, disturbances = choice.settings(), choice.disturbances
@@ -181,7 +183,9 @@ def simulated_session(
     method = method or StackSettings()
     models: dict[tuple[Path, str], Estimator] = {}
 
-    def estimator(choice: SceneChoice, piece: Piece) -> Estimator:
+    def model(choice: SceneChoice, piece: Piece) -> Estimator | None:
+        if estimate is not None or not choice.estimates:
+            return None
         path = Path(choice.model) if choice.model else shipped_model(choice.piece)
         if (path, piece.name) not in models:
             models[path, piece.name] = Estimator.load(path, piece)
@@ -199,13 +203,14 @@ def simulated_session(
             bottom="+".join(choice.bottoms),
             advance=bench.advance,
             scoring=SimulatedScoring(bench, method.policy.longest_step_mm, animate),
-            estimator=estimator(choice, scene.piece) if choice.estimates else NoModel(),
+            estimator=estimate(bench) if estimate else model(choice, scene.piece) or NoModel(),
             payload=gripper_payload(settings.wrist.payload_kg, settings.wrist.payload_com_mm),
         )
 
     def check(choice: SceneChoice) -> Mapping[str, object]:
         scene = make_scene(catalogue, choice, settings)
-        card = estimator(choice, scene.piece).card if choice.estimates else None
+        loaded = model(choice, scene.piece)
+        card = loaded and loaded.card
         return {
             "simulation": settings.model_dump(mode="json"),
             "disturbances": list(disturbances),

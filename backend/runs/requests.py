@@ -43,8 +43,9 @@ class StackRequest:
     model: str | None = None
 
     def scene(self, trial: int = 0) -> SceneChoice:
-        """Return the scene of trial 0, 1, ..."""
-        return SceneChoice(self.piece, self.bottoms, self.seed + trial, self.model)
+        """Return the scene of trial 0, 1, ...; pick-and-place needs no model."""
+        estimates = self.strategy == "paper" or self.model is not None
+        return SceneChoice(self.piece, self.bottoms, self.seed + trial, self.model, estimates)
 
     def method(self, base: StackSettings) -> StackSettings:
         """Return the settings of this run, laid over those of the bench."""

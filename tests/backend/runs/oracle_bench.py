@@ -7,21 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from backend import assembly
+from backend.assembly import SimulatedBenchChoice, simulated_session
 from backend.config.method import StackSettings
-from backend.config.simulation import SimulationSettings
 from backend.core.facts import Fact
 from backend.core.flow import ContactPatch, Episode
-from backend.devices.sim.bench import BenchStreams, SimulatedBench
-from backend.objects.catalogue import Piece, load_catalogue
+from backend.devices.sim.bench import SimulatedBench
 from backend.objects.surface import face_points, true_patch
 from backend.runs.fact_codec import encode
-from backend.runs.requests import SceneChoice, StackRequest
-from backend.runs.stage import Stage
-from backend.sensing.live import RawStreams
-from backend.sensing.tare import gripper_payload
-from backend.session import Keep, Session
-from backend.simulation.disturbances import parse_script
+from backend.runs.requests import StackRequest
+from backend.session import Keep
 
 
 class Oracle:
@@ -29,8 +23,8 @@ class Oracle:
 
     base_rate = None
 
-    def __init__(self, bench: SimulatedBench, piece: Piece) -> None:
-        self._bench, self._points = bench, face_points(piece.face)
+    def __init__(self, bench: SimulatedBench) -> None:
+        self._bench, self._points = bench, face_points(bench.scene.piece.face)
         self.asked: list[Episode] = []
 
     def prepare(self, early: np.ndarray) -> None:
@@ -57,39 +51,18 @@ class OracleSession:
         self.benches: list[SimulatedBench] = []
         self.oracles: list[Oracle] = []
         self.facts: list[Fact] = []
-        self._script = parse_script(faults)
-        self._settings = SimulationSettings.model_validate({"preset": preset})
-        self._catalogue = load_catalogue()
-        self.session = Session(
-            self._make_stage,
-            lambda _: {},
-            self._catalogue,
-            settings=method or StackSettings(),
+        self.session = simulated_session(
+            SimulatedBenchChoice(preset=preset, disturbances=faults),
             keep=Keep(runs),
-            simulated=True,
+            method=method,
+            estimate=self._oracle,
         )
         self.session.hub.subscribe(self.facts.append)
 
-    def _make_stage(self, choice: SceneChoice, raw: RawStreams) -> Stage:
-        scene = assembly.make_scene(self._catalogue, choice, self._settings)
-        streams = BenchStreams(raw.frames, raw.samples, raw.poses)
-        bench = SimulatedBench(scene, self._script, streams)
-        oracle = Oracle(bench, scene.piece)
+    def _oracle(self, bench: SimulatedBench) -> Oracle:
         self.benches.append(bench)
-        self.oracles.append(oracle)
-        wrist = self._settings.wrist
-        return Stage(
-            clock=bench.clock,
-            devices=bench.devices,
-            arm=bench.arm,
-            gripper=bench.gripper,
-            piece=scene.piece,
-            bottom="+".join(choice.bottoms),
-            advance=bench.advance,
-            scoring=assembly.SimulatedScoring(bench, 3.0, animate=False),
-            estimator=oracle,
-            payload=gripper_payload(wrist.payload_kg, wrist.payload_com_mm),
-        )
+        self.oracles.append(Oracle(bench))
+        return self.oracles[-1]
 
     def of(self, kind: type[Fact]) -> list[Fact]:
         return [fact for fact in self.facts if isinstance(fact, kind)]

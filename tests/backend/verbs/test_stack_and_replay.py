@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -168,3 +169,28 @@ def test_an_operators_own_piece_can_be_stacked_upon(
     status, out, _ = call(capsys, "stack", *words, "--runs", str(tmp_path / "runs"))
     assert status == 1
     assert json.loads(out)["trials"][0]["outcome"] == "fell"
+
+
+def test_pick_and_place_asks_for_no_model(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pieces = tmp_path / "pieces"
+    pieces.mkdir()
+    text = files("resources").joinpath("objects", "pot.toml").read_text("utf-8")
+    (pieces / "own.toml").write_text(text, "utf-8")
+    runs = tmp_path / "runs"
+    words = ("stack", "--piece", "own", "--pieces", str(pieces), "--runs", str(runs))
+    status, _, err = call(capsys, *words)
+    assert status == 2
+    assert "No model ships for piece 'own'" in err
+    status, out, err = call(capsys, *words, "--strategy", "pick-and-place")
+    assert err == ""
+    assert (status, json.loads(out)["trials"][0]["outcome"]) == (1, "fell")
+    head = (next(runs.glob("*")) / NAME).read_text("utf-8").splitlines()[1]
+    assert json.loads(json.loads(head)["settings"])["model"] is None
+    # A model that was named is read all the same: a wrong name is not passed over.
+    status, _, err = call(
+        capsys, *words, "--strategy", "pick-and-place", "--model", "no.safetensors"
+    )
+    assert status == 2
+    assert "no.safetensors" in err

@@ -17,6 +17,7 @@ from backend.config.simulation import (
     SimulationSettings,
 )
 from backend.core.faults import InputError
+from backend.core.flow import Pose
 from backend.devices.sim.bench import BenchStreams, SimulatedBench
 from backend.objects.catalogue import Catalogue, Piece, load_catalogue
 from backend.objects.starts import draw_start
@@ -29,12 +30,15 @@ from backend.sensing.live import RawStreams
 from backend.sensing.tare import gripper_payload
 from backend.session import Keep, Session
 from backend.simulation.disturbances import parse_script
+from backend.simulation.holding import start_command_mm
 from backend.simulation.scene import Scene
 from backend.simulation.scoring import margin_mm
 
 TOWER_LEAN_MM = 2.0
 """Each further bottom of a tower stands off the one below by up to this, in a drawn direction."""
 DIRECTIONS = 32
+JIG_MM = (-80.0, 0.0)
+"""The jig stands here beside the bottom."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,8 +158,26 @@ def make_scene(catalogue: Catalogue, choice: SceneChoice, settings: SimulationSe
     piece = catalogue.top(choice.piece)
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 77])))
     tower = make_tower(catalogue, choice.bottoms, rng)
+    if choice.jig:
+        return _collecting(piece, tower, choice, settings)
     start = draw_start(rng, piece.body(), tower)
     return Scene(piece=piece, bottoms=tower, start_mm=start, seed=seed, settings=settings)
+
+
+def _collecting(
+    piece: Piece, tower: Tower, choice: SceneChoice, settings: SimulationSettings
+) -> Scene:
+    """Return a scene with the piece in its jig: a jig grasps better than a hand."""
+    spread = settings.spread.model_copy(update={"grasp_offset_mm": settings.spread.jig_mm})
+    return Scene(
+        piece=piece,
+        bottoms=tower,
+        start_mm=JIG_MM,
+        seed=choice.seed,
+        settings=settings.model_copy(update={"spread": spread}),
+        mounting=choice.mounting,
+        jig=True,
+    )
 
 
 def simulated_session(
@@ -205,6 +227,8 @@ def simulated_session(
             scoring=SimulatedScoring(bench, method.policy.longest_step_mm, animate),
             estimator=estimate(bench) if estimate else model(choice, scene.piece) or NoModel(),
             payload=gripper_payload(settings.wrist.payload_kg, settings.wrist.payload_com_mm),
+            outline=scene.surface,
+            jig=Pose(*start_command_mm(scene).tolist()) if scene.jig else None,
         )
 
     def check(choice: SceneChoice) -> Mapping[str, object]:

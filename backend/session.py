@@ -254,6 +254,8 @@ class Session:
             scoring=stage.scoring,
             wall_s=time.perf_counter,
             probe_count=lambda: self.engine.status().probe,
+            outline=stage.outline,
+            jig=stage.jig,
         )
 
     def _set_scene(self, choice: SceneChoice) -> _Scene:

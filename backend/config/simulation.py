@@ -108,6 +108,8 @@ class SpreadSettings(Settings):
     mu_grip: NonNegative = 0.10
     grip_force_n: NonNegative = 0.3
     grasp_offset_mm: NonNegative = 0.5
+    jig_mm: NonNegative = 0.1
+    """The same where the piece is taken from a jig."""
     yaw_rad: NonNegative = 0.0175
     """In-hand rotation about the vertical, 1 degree."""
     gain: NonNegative = 0.05

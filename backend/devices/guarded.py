@@ -9,7 +9,8 @@ from collections.abc import Callable, Mapping
 from backend.core.faults import RefusedError
 from backend.core.flow import Pose
 from backend.core.stream import SampleStream
-from backend.devices.interlock import Interlock, ReleaseEvidence, release_refusal
+from backend.devices.interlock import LEASE_S, Interlock, ReleaseEvidence, release_refusal
+from backend.devices.jog_limits import refuse_forced, room_mm
 from backend.devices.protocols import (
     Arm,
     ArmStatus,
@@ -23,6 +24,7 @@ from backend.devices.protocols import (
     PressCommand,
     PressMotion,
 )
+from backend.devices.putting_back import JigEvidence, jig_refusal
 
 PressForce = Callable[[], float]
 """Present press force in N (tared Fz), NaN if unknown."""
@@ -115,6 +117,34 @@ class GuardedArm(_Guarded):
         self._refuse_dragging(target)
         return self._arm.move_to(target, speed_mm_s)
 
+    @property
+    def rotates(self) -> bool:
+        """Whether the hand can turn."""
+        return self._arm.rotates
+
+    def jog(self, velocity_mm_s: tuple[float, float, float], for_s: float) -> Motion:
+        """Follow a velocity; refused when too fast, too long, outside, or against a force."""
+        self._interlock.require_motion(self._now_s())
+        limits = self._interlock.limits
+        speed = math.hypot(*velocity_mm_s)
+        if not 0 < speed <= limits.jog_mm_s:
+            raise RefusedError(
+                "SPEED", f"{speed:.1f} mm/s is not within 0 to {limits.jog_mm_s:.0f} mm/s."
+            )
+        if not 0 < for_s <= LEASE_S:
+            raise RefusedError("JOG-TIME", f"{for_s:.2f} s is not within 0 to {LEASE_S:.2f} s.")
+        x, y, z = (part / speed for part in velocity_mm_s)
+        way = (x, y, z)
+        refuse_forced(self._press_n(), way, limits, recovering=self._interlock.recovering)
+        left_mm = room_mm(self._arm.pose(max_age_s=0.2), way, limits)
+        if not left_mm > 0:
+            raise RefusedError("LIMIT", "The arm is at the edge of its workspace.")
+        return self._arm.jog(velocity_mm_s, for_s)
+
+    def halt(self) -> None:
+        """Stand still without a latch: a jog ended."""
+        self._arm.stop()
+
     def press(self, command: PressCommand) -> PressMotion:
         """Press; refused if the nominal force exceeds the limit or the approach is too fast."""
         self._interlock.require_motion(self._now_s())
@@ -174,10 +204,25 @@ class GuardedGripper(_Guarded):
             raise RefusedError("HOLDING", "A piece is held: it is let go by a release only.")
         return self._gripper.open_to(width_mm, speed_mm_s)
 
+    def open_by_hand(self, width_mm: float, speed_mm_s: float, *, confirmed: bool) -> Motion:
+        """Open on the operator's own order; a held piece needs their confirmation."""
+        self._interlock.require_motion(self._now_s())
+        if self._gripper.status().holding and not confirmed:
+            raise RefusedError("HOLDING", "A piece is held: opening drops it. Confirm first.")
+        return self._gripper.open_to(width_mm, speed_mm_s)
+
     def release(self, evidence: ReleaseEvidence, width_mm: float, speed_mm_s: float) -> Motion:
         """Open on a held piece if every release condition holds; else ``RefusedError``."""
         self._interlock.require_motion(self._now_s())
         refusal = release_refusal(evidence, untested=self._interlock.untested_release)
+        if refusal is not None:
+            raise RefusedError(*refusal)
+        return self._gripper.open_to(width_mm, speed_mm_s)
+
+    def put_back(self, evidence: JigEvidence, width_mm: float, speed_mm_s: float) -> Motion:
+        """Open on a held piece that is back in its jig; else ``RefusedError``."""
+        self._interlock.require_motion(self._now_s())
+        refusal = jig_refusal(evidence)
         if refusal is not None:
             raise RefusedError(*refusal)
         return self._gripper.open_to(width_mm, speed_mm_s)

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from backend.config.method import StackSettings
 from backend.core.faults import InputError
-from backend.core.flow import ContactPatch, Episode, Fall
+from backend.core.flow import ContactPatch, Episode, Fall, Pose
 from backend.devices.guarded import GuardedArm, GuardedGripper
 from backend.devices.interlock import Interlock
 from backend.objects.catalogue import Piece
+from backend.objects.shapes import Outline
 from backend.runs.gate import Gate
 from backend.sensing.live import LiveSensing
 
@@ -90,7 +91,8 @@ class Scoring(Protocol):
 class Bench:
     """One trial's bench. ``now_s`` is its clock; ``scoring`` is None where truth is unknown.
 
-    ``wall_s`` measures decision latency only; ``probe_count`` says how far the trial has come.
+    ``wall_s`` measures decision latency only; ``probe_count`` says how far the trial has come;
+    ``outline`` of the surface that is touched; ``jig``: pose of ``G`` with the piece in its jig.
     """
 
     now_s: Callable[[], float]
@@ -107,3 +109,5 @@ class Bench:
     scoring: Scoring | None
     wall_s: Callable[[], float]
     probe_count: Callable[[], int]
+    outline: Outline
+    jig: Pose | None

@@ -18,6 +18,8 @@ class SceneChoice:
     """What stands on the bench: ``piece`` above ``bottoms`` (bottom-up; the last one is touched).
 
     ``model`` is a checkpoint file, None for the shipped one; without ``estimates`` none is loaded.
+    With ``jig`` the piece is taken from its jig beside the bottom; ``mounting`` counts the fittings
+    of bottom and gels.
     """
 
     piece: str = "pot"
@@ -25,6 +27,8 @@ class SceneChoice:
     seed: int = 0
     model: str | None = None
     estimates: bool = True
+    jig: bool = False
+    mounting: int = 0
 
 
 @dataclass(frozen=True, slots=True)

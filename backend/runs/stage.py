@@ -6,9 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from backend.core.clock import Clock
-from backend.core.flow import FloatArray
+from backend.core.flow import FloatArray, Pose
 from backend.devices.protocols import Arm, Device, Gripper
 from backend.objects.catalogue import Piece
+from backend.objects.shapes import Outline
 from backend.runs.bench import Estimate, Scoring
 
 
@@ -17,7 +18,8 @@ class Stage:
     """Unguarded devices of one scene. ``advance`` moves the bench's time by so many microseconds.
 
     ``devices`` names all five for the chips; ``scoring`` is None where the truth is unknown;
-    ``payload`` (6,) is the calibrated weight below the sensor, N and N·m.
+    ``payload`` (6,) is the calibrated weight below the sensor, N and N·m. ``jig``: taught pose of
+    ``G`` with the piece in its jig, None where there is no jig. ``outline`` of the touched face.
     """
 
     clock: Clock
@@ -30,3 +32,5 @@ class Stage:
     scoring: Scoring | None
     estimator: Estimate
     payload: FloatArray
+    outline: Outline
+    jig: Pose | None = None

@@ -32,8 +32,6 @@ from backend.simulation.wrench import held_piece
 NEAR_MM = 1.0
 """Below this height over first touch the contact is solved; above it the piece is in air."""
 
-_MOUNTING = 0
-
 
 class Holding:
     """One gripping of the piece. Positions are commands of ``G`` (3,), mm in ``O``."""
@@ -42,7 +40,7 @@ class Holding:
         """``grip``: number of this gripping; ``force_n``: what was asked of each finger."""
         self._scene, self._grip = scene, grip
         self.mounting = mounting_of(scene)
-        rng = generator(scene.seed, Scope.GRIPPING, _MOUNTING, grip)
+        rng = generator(scene.seed, Scope.GRIPPING, scene.mounting, grip)
         self.gripping = draw_gripping(scene.settings, force_n, rng)
         self.probe = 0
         self.conditions = self._draw(ProbeSettings())
@@ -152,7 +150,7 @@ class Holding:
 
     def _draw(self, probe: ProbeSettings) -> Conditions:
         scene = self._scene
-        rng = generator(scene.seed, Scope.PROBE, _MOUNTING, self._grip, self.probe)
+        rng = generator(scene.seed, Scope.PROBE, scene.mounting, self._grip, self.probe)
         draw = draw_probe(scene.settings, rng)
         if self.probe == 0:
             # Before the first press the piece is where the scene says.
@@ -167,12 +165,17 @@ class Holding:
 
 
 def mounting_of(scene: Scene) -> Mounting:
-    """Return the draw of the scene's only mounting."""
-    return draw_mounting(scene.settings, generator(scene.seed, Scope.MOUNTING, _MOUNTING))
+    """Return the draw of the scene's mounting."""
+    return draw_mounting(scene.settings, generator(scene.seed, Scope.MOUNTING, scene.mounting))
 
 
 def start_command_mm(scene: Scene) -> FloatArray:
-    """Return the command (3,) of ``G`` that puts the first gripping of the piece at the start."""
+    """Return the command (3,) of ``G`` that puts the first gripping of the piece at the start.
+
+    A jig is where it was taught, whatever the errors of this gripping.
+    """
+    if scene.jig:
+        return np.array([*scene.start_mm, scene.grip_height_mm + scene.start_height_mm])
     holding = Holding(scene, 0, ProbeSettings().grip_force_n)
     true = true_offset_mm(np.zeros((1, 2)), holding.conditions)[0]
     x, y = scene.start_mm

@@ -17,6 +17,8 @@ class Scene:
     ``bottoms``: from the lowest up; the topmost carries the bench frame ``O``. ``start_mm``: true
     displacement of the piece's face from ``O`` before the first probe, errors of grasp and print
     included. ``start_height_mm``: height of the commanded face above the support at the start.
+    ``mounting``: number of the fitting of bottom and gels. With ``jig`` the piece stands in a jig
+    at ``start_mm``: it can be put back there and taken again.
     """
 
     piece: Piece
@@ -25,6 +27,8 @@ class Scene:
     seed: int
     settings: SimulationSettings = field(default_factory=SimulationSettings)
     start_height_mm: float = 3.0
+    mounting: int = 0
+    jig: bool = False
 
     def __post_init__(self) -> None:
         if self.piece.grip_height_mm is None:

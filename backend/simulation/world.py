@@ -14,7 +14,7 @@ import numpy as np
 from backend.config.method import ProbeSettings
 from backend.core.flow import FINGERS, Finger, FloatArray
 from backend.simulation import scoring
-from backend.simulation.arm import ArmDrive, Cycle, Press, PressLaw, Travel, Unload
+from backend.simulation.arm import ArmDrive, Cycle, Jog, Press, PressLaw, Travel, Unload
 from backend.simulation.disturbances import Script
 from backend.simulation.finger_camera import FingerCamera, Shot, Sight
 from backend.simulation.gel import build_gel
@@ -31,6 +31,8 @@ CLEARANCE_MM = 20.0
 """Open jaws at the start are wider than the piece by this much."""
 DRAG_MM = 1.0
 DRAG_N = 0.5
+JIG_MM = 1.0
+"""Let go within this distance of the jig's place the piece is back in the jig."""
 """Dragging a pressed piece sideways by more than this knocks a free support over."""
 _TARE_CYCLES = 20
 
@@ -61,7 +63,7 @@ class World:
         self._gel = build_gel(
             tactile.mm_per_px, tactile.pitch_mm, tactile.roll_off_mm, tactile.dilation
         )
-        seeds = np.random.SeedSequence([scene.seed, 7]).generate_state(3)
+        seeds = np.random.SeedSequence([scene.seed, 7, scene.mounting]).generate_state(3)
         self._wrist = Wrist(settings.wrist, self.cycle_us, int(seeds[2]))
         self._cameras = _cameras(scene, seeds.tolist())
         self._holding: Holding | None = None
@@ -81,6 +83,12 @@ class World:
     def travel(self, target_mm: FloatArray, speed_mm_s: float) -> Travel:
         """Begin a straight move of ``G`` to ``target_mm`` (3,)."""
         program = Travel(self.drive.command_mm, target_mm, speed_mm_s)
+        self.drive.run(program)
+        return program
+
+    def jog(self) -> Jog:
+        """Begin to follow velocities; nothing moves before the first one."""
+        program = Jog()
         self.drive.run(program)
         return program
 
@@ -177,6 +185,9 @@ class World:
             self._release(self._holding, command)
 
     def _release(self, holding: Holding, command: FloatArray) -> None:
+        if self.scene.jig and np.abs(command - start_command_mm(self.scene)).max() <= JIG_MM:
+            self._holding = None
+            return
         offset, yaw = holding.offset_mm(command), holding.gripping.yaw_rad
         kick = scoring.release_kick_mm(self.scene, self._grips)
         margin = scoring.margin_mm(self.scene, offset, yaw, kick)

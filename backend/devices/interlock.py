@@ -33,6 +33,10 @@ class Limits:
     trip_at_once_n: float = 60.0
     trip_nm: float = 1.5
     probe_n: float = 30.0
+    jog_mm_s: float = 50.0
+    jog_guard_n: float = 15.0
+    near_mm: float = 10.0
+    recovery_mm_s: float = 5.0
     wrench_age_s: float = 0.3
     frame_age_s: float = 0.5
 
@@ -131,6 +135,9 @@ class Interlock:
         self._faults: tuple[Fault, ...] = ()
         self._lease_until_s = -math.inf
         self._stoppers: list[Callable[[], None]] = []
+        self.recovering = False
+        """True from the reset of a fault until the wrist is free of contact: then the arm moves
+        by hand, slowly and away from contact only."""
         self.untested_release = False
         """True only on a simulated bench while the pick-and-place baseline runs."""
 
@@ -180,6 +187,7 @@ class Interlock:
     def reset(self) -> None:
         """Clear the latch and the faults; only the operator calls this. Moves nothing."""
         with self._lock:
+            self.recovering = bool(self._faults)
             self._stopped_by = ""
             self._faults = ()
             self._lease_until_s = -math.inf

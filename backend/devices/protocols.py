@@ -193,6 +193,17 @@ class Arm(Device, Protocol):
     def move_to(self, target: Pose, speed_mm_s: float) -> Motion:
         """Move straight to ``target``."""
 
+    @property
+    def rotates(self) -> bool:
+        """Whether the hand can turn and single joints can be driven."""
+
+    def jog(self, velocity_mm_s: tuple[float, float, float], for_s: float) -> Motion:
+        """Move with this velocity for at most ``for_s``, then stand still by itself.
+
+        A further call in time goes on with its own velocity; the motion is the same one. So the
+        arm stops even if whoever commands it has died.
+        """
+
     def press(self, command: PressCommand) -> PressMotion:
         """Press compliantly from here straight down."""
 

@@ -89,6 +89,35 @@ class Travel:
         return np.asarray(self._start_mm + share * (self._target_mm - self._start_mm))
 
 
+class Jog:
+    """Follows a velocity until its time is up, then brakes. Renewed in place: it never jerks."""
+
+    failure: Fault | None = None
+
+    def __init__(self) -> None:
+        self._asked: tuple[FloatArray, float] = (np.zeros(3), -math.inf)
+        self._velocity_mm_s = np.zeros(3)
+        self.done = False
+
+    def renew(self, velocity_mm_s: FloatArray, until_s: float) -> None:
+        """Take another velocity (3,), good until ``until_s`` on the bench clock."""
+        self._asked = (velocity_mm_s.copy(), until_s)
+
+    def next_mm(self, command_mm: FloatArray, cycle: Cycle) -> FloatArray:
+        """Return the next point; the velocity changes by the acceleration at most."""
+        asked, until_s = self._asked
+        over = cycle.start_s >= until_s
+        wanted = np.zeros(3) if over else asked
+        dt_s = cycle.end_s - cycle.start_s
+        change = wanted - self._velocity_mm_s
+        size, most = float(np.linalg.norm(change)), ACCELERATION_MM_S2 * dt_s
+        self._velocity_mm_s = (
+            wanted.copy() if size <= most else self._velocity_mm_s + change * (most / size)
+        )
+        self.done = over and not self._velocity_mm_s.any()
+        return np.asarray(command_mm + self._velocity_mm_s * dt_s)
+
+
 @dataclass(frozen=True, slots=True)
 class PressLaw:
     """Descent, contact rule, ramp and hold of one press (units in the names)."""

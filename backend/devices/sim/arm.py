@@ -22,7 +22,7 @@ from backend.devices.sim.motion import (
     replaced_fault,
     stopped_fault,
 )
-from backend.simulation.arm import PressLaw, Program
+from backend.simulation.arm import Jog, PressLaw, Program
 from backend.simulation.world import World
 
 
@@ -80,6 +80,26 @@ class SimArm(SimDevice):
         }
         with self._lock:
             return self._take(SimMotion(sent), self._world.travel(goal, speed_mm_s))
+
+    @property
+    def rotates(self) -> bool:
+        """Never: the simulated hand keeps its orientation."""
+        return False
+
+    def jog(self, velocity_mm_s: tuple[float, float, float], for_s: float) -> SimMotion:
+        """Follow a velocity for ``for_s``; a renewal goes on without a jerk."""
+        self._connection.require_ready()
+        velocity = np.array(velocity_mm_s)
+        if not (np.isfinite(velocity).all() and 0.0 < for_s < float("inf")):
+            raise ValueError("velocity and time must be finite, the time positive")
+        with self._lock:
+            program, motion = self._program, self._motion
+            if not isinstance(program, Jog) or program.done or motion is None:
+                x, y, z = velocity_mm_s
+                program = self._world.jog()
+                motion = self._take(SimMotion({"x_mm_s": x, "y_mm_s": y, "z_mm_s": z}), program)
+            program.renew(velocity, self._now_s() + for_s)
+            return motion
 
     def press(self, command: PressCommand) -> SimPressMotion:
         """Press compliantly from here straight down."""

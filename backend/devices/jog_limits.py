@@ -1,0 +1,68 @@
+"""How far and how fast the arm may be jogged: room to the soft limits, force guard, slow zone.
+
+``way`` is a unit vector in the bench frame throughout; z points up.
+"""
+
+from __future__ import annotations
+
+import math
+
+from backend.core.faults import RefusedError
+from backend.core.flow import Pose
+from backend.devices.interlock import Limits
+
+Way = tuple[float, float, float]
+
+
+def room_mm(pose: Pose, way: Way, limits: Limits) -> float:
+    """Return how far ``G`` may go along ``way`` before the workspace ends; 0 outside of it."""
+    across = way[0] ** 2 + way[1] ** 2
+    inside = limits.reach_mm**2 - pose.x_mm**2 - pose.y_mm**2
+    outwards = pose.x_mm * way[0] + pose.y_mm * way[1]
+    room = math.inf
+    if across > 0.0:
+        root = outwards**2 + across * inside
+        room = (math.sqrt(root) - outwards) / across if root > 0.0 else 0.0
+    if way[2] > 0.0:
+        room = min(room, (limits.highest_mm - pose.z_mm) / way[2])
+    elif way[2] < 0.0:
+        room = min(room, (limits.lowest_mm - pose.z_mm) / way[2])
+    return max(room, 0.0)
+
+
+def refuse_forced(press_n: float, way: Way, limits: Limits, *, recovering: bool) -> None:
+    """Raise ``RefusedError`` if the wrist feels a force that forbids ``way``; NaN refuses."""
+    if not math.isfinite(press_n):
+        raise RefusedError("FT-UNKNOWN", "The force at the wrist is not known.")
+    away = way[2] * math.copysign(1.0, press_n) > 0.99
+    if away:
+        return
+    free = "+Z" if press_n > 0 else "\N{MINUS SIGN}Z"
+    if abs(press_n) > limits.jog_guard_n:
+        raise RefusedError(
+            "JOG-FORCE",
+            f"Fz is {press_n:.1f} N, over the guard of {limits.jog_guard_n:.0f} N: "
+            f"only {free} is possible.",
+        )
+    if recovering:
+        raise RefusedError(
+            "RECOVERY", f"After a fault only {free}, away from contact, is possible."
+        )
+    if abs(press_n) > limits.contact_n and math.hypot(way[0], way[1]) > 1e-6:
+        raise RefusedError("DRAGGING", f"Fz is {press_n:.1f} N: lift first, then move sideways.")
+
+
+def fastest_mm_s(
+    pose: Pose, surface_mm: float, press_n: float, limits: Limits, *, recovering: bool
+) -> tuple[float, str]:
+    """Return the highest speed here and why it is lower than usual ("" if it is not).
+
+    ``surface_mm``: height of ``G`` at which a held piece touches the support; NaN is near.
+    """
+    if not abs(press_n) <= limits.contact_n:
+        return limits.contact_speed_mm_s, f"|Fz| over {limits.contact_n:.0f} N"
+    if not pose.z_mm - surface_mm >= limits.near_mm:
+        return limits.contact_speed_mm_s, f"within {limits.near_mm:.0f} mm of the surface"
+    if recovering:
+        return limits.recovery_mm_s, "recovery"
+    return limits.jog_mm_s, ""

@@ -42,7 +42,11 @@ def to_s(ns: Times) -> FloatArray:
 
 def read_episode(path: Path) -> Episode:
     """Read the episode ``path``, frames decoded; raises ``InputError`` naming a damaged file."""
-    contents = read_whole(path)
+    return episode_of(read_whole(path), path)
+
+
+def episode_of(contents: Contents, path: Path) -> Episode:
+    """Return the episode of a file that was read; raises ``InputError`` naming it if damaged."""
     if "episode" not in contents.metadata:
         raise InputError("The file holds no single episode.", str(path), FIX)
     with explained(path):

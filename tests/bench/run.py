@@ -22,6 +22,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.command_line",
     "tests.bench.tracking",
     "tests.bench.simulation",
+    "tests.bench.agreement",
     "tests.bench.window",
     "tests.bench.stacking",
 )

@@ -1,14 +1,55 @@
-"""Random stacks for holding the exact judge against the physics engine."""
+"""Random stacks, and what the exact judge and the physics engine say of each."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from backend.objects import shapes
 from backend.objects.shapes import Outline
-from backend.objects.tower import Body, Tower
+from backend.objects.tower import Body, Tower, Verdict, judge
+from backend.simulation.release_mujoco import differs, simulate_release
+
+SETS = {
+    "fixed pair": (2, True, 120),
+    "free pair": (2, False, 90),
+    "three bodies": (3, False, 90),
+}
+"""Number of bodies, whether the lowest is fixed, number of cases."""
+CLEAR_MM = 0.5
+"""Beyond this margin 0.7 s show the outcome; nearer to the edge a fall may take longer."""
+
+
+@dataclass(frozen=True)
+class Opinions:
+    """Of one stack: the judge's verdict and whether the engine saw a fall."""
+
+    verdict: Verdict
+    fallen: bool
+
+    @property
+    def unlike(self) -> bool:
+        """Whether the two say different things."""
+        return self.fallen == self.verdict.stands
+
+    @property
+    def beyond(self) -> bool:
+        """Whether they do so farther from the edge than the engine's error."""
+        return differs(self.verdict, self.fallen)
+
+
+def ask_both(name: str) -> Iterator[Opinions]:
+    """Yield the opinions on all stacks of one of ``SETS``."""
+    count, fixed, cases = SETS[name]
+    rng = np.random.default_rng(20)
+    for _ in range(cases):
+        tower = stack(rng, count, fixed=fixed, yaw=not fixed)
+        verdict = judge(tower)
+        near = abs(verdict.margin_mm) <= CLEAR_MM
+        yield Opinions(verdict, simulate_release(tower, seconds=1.5 if near else 0.7)[0])
 
 
 def outline(rng: np.random.Generator) -> Outline:

@@ -1,0 +1,94 @@
+"""One press felt by the devices (render -> track -> episode) and the same one simulated in bulk.
+
+Sensor noise is off, the mechanical draws are equal; what differs is everything else: 10 ms cycles
+against vectorised presses, rendered images against computed fields, the tracker, the synchroniser.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from backend.config.method import StackSettings
+from backend.config.simulation import SimulationSettings
+from backend.core.facts import EpisodeRecorded, TrialStarted
+from backend.core.flow import TACTILE_CHANNELS, FloatArray
+from backend.objects.catalogue import load_catalogue
+from backend.objects.surface import face_points
+from backend.simulation import episodes, holding, nuisance
+from tests.backend.runs.oracle_bench import OracleSession, request
+
+RMS_LIMIT_PX = 0.15
+CASES = (
+    ("pot", "short", 1),
+    ("pot", "long", 2),
+    ("barrel", "rect12x28", 3),
+    ("mushroom", "short", 4),
+)
+"""Piece, bottom, seed."""
+MOUNTING = nuisance.Mounting((0.003, -0.004), (0.1, -0.05), 20.0)
+GRIPPING = nuisance.Gripping(0.92, 0.8, 10.2, (0.4, -0.3), 0.015, (1.03, 0.97))
+PROBE = nuisance.ProbeDraw(0.43, (0.0, 0.0), np.zeros((2, 2)), np.zeros(6))
+ONE_PROBE = StackSettings().model_copy(
+    update={"policy": StackSettings().policy.model_copy(update={"max_probes": 1})}
+)
+
+
+@dataclass(frozen=True)
+class OnePress:
+    """Observations (20, 258) and true offsets at the start (mm) of the two paths."""
+
+    felt: FloatArray
+    computed: FloatArray
+    felt_mm: tuple[float, float]
+    computed_mm: FloatArray
+
+    @property
+    def rms_px(self) -> float:
+        """Difference of the marker displacements over the whole press."""
+        tactile = (self.felt - self.computed)[:, :TACTILE_CHANNELS]
+        return float(np.sqrt(np.mean(tactile**2)))
+
+
+def press_both_ways(piece: str, bottom: str, seed: int, patch: pytest.MonkeyPatch) -> OnePress:
+    """Press once on the devices and once in bulk, with equal mechanical draws."""
+    for module in (holding, nuisance):
+        patch.setattr(module, "draw_mounting", lambda *_: MOUNTING)
+        patch.setattr(module, "draw_gripping", lambda *_: GRIPPING)
+        patch.setattr(module, "draw_probe", lambda *_: PROBE)
+    devices = OracleSession(preset="off", method=ONE_PROBE)
+    devices.session.run(request(piece=piece, bottoms=(bottom,), seed=seed))
+    recorded = devices.of(EpisodeRecorded)[0]
+    started = devices.of(TrialStarted)[0]
+    assert isinstance(recorded, EpisodeRecorded)
+    assert isinstance(started, TrialStarted)
+    assert started.start_mm is not None
+    commanded = np.array(recorded.episode.offset_mm)
+    patch.setattr(episodes._Bench, "_draw_offset", lambda *_: commanded)
+    batch = next(iter(episodes.simulate(_plan(piece, bottom, seed))))
+    return OnePress(
+        recorded.episode.observation,
+        batch.observation[0],
+        started.start_mm,
+        batch.true_offset_mm[0],
+    )
+
+
+def _plan(piece: str, bottom: str, seed: int) -> episodes.Plan:
+    catalogue = load_catalogue()
+    top = catalogue.top(piece)
+    assert top.grip_height_mm is not None
+    return episodes.Plan(
+        piece=piece,
+        bottom=bottom,
+        face=top.face,
+        bottom_outline=catalogue.bottom(bottom).face,
+        face_points_mm=face_points(top.face),
+        grip_height_mm=top.grip_height_mm,
+        width_mm=top.width_mm,
+        episodes=1,
+        seed=seed,
+        settings=SimulationSettings.model_validate({"preset": "off"}),
+    )

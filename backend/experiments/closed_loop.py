@@ -1,0 +1,188 @@
+"""The stacking loop for many trials at once: the run's own belief, verdict and policy.
+
+All trials press side by side; each then concludes by the same pure functions as
+``backend.runs.stack``. What that plan adds on real devices (tare, reference, tracker, interlock)
+does not happen here; episodes are accepted by the same limits on press force and slip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.config.method import StackSettings
+from backend.core.flow import ContactPatch, FloatArray, Outcome, PlaceAction, Stability
+from backend.objects.tower import Verdict, judge
+from backend.placement.belief import Belief
+from backend.placement.policy import choose
+from backend.placement.stability import judge as judge_stability
+from backend.sensing.episode import EpisodeLimits
+from backend.simulation.lockstep import Lockstep, Presses
+from backend.simulation.scene import Scene
+from backend.simulation.scoring import release_kick_mm, stacked
+
+Predict = Callable[[NDArray[np.float32]], FloatArray]
+"""Contact probabilities (k, N) of observations (k, 20, 258)."""
+TRIES = 2
+"""A press that is no observation is repeated once, as on the bench."""
+XY = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """What the loop needs of a trained model: ``points_mm`` (N, 2) of the face."""
+
+    predict: Predict
+    points_mm: FloatArray
+    base_rate: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Concluded:
+    """One probe of a trial: where the command was, what was believed and chosen."""
+
+    offset_mm: XY
+    belief: Belief
+    stability: Stability
+    action: PlaceAction
+
+
+@dataclass(frozen=True, slots=True)
+class TrialEnd:
+    """How a trial ended. ``verdict``: the exact judge at the release, None without one.
+
+    ``true_mm``: displacement of the piece at the end, where it was ever pressed.
+    """
+
+    seed: int
+    outcome: Outcome
+    reason: str
+    probes: int
+    verdict: Verdict | None
+    true_mm: XY | None
+    steps: tuple[Concluded, ...] = field(default=(), repr=False)
+
+
+@dataclass
+class _Trial:
+    """A trial under way."""
+
+    number: int
+    scene: Scene
+    here: XY
+    belief: Belief
+    steps: list[Concluded] = field(default_factory=list)
+    tries: int = 0
+    true_mm: XY | None = None
+    end: TrialEnd | None = None
+
+    def close(self, outcome: Outcome, reason: str, verdict: Verdict | None = None) -> None:
+        """End the trial."""
+        self.end = TrialEnd(
+            self.scene.seed,
+            outcome,
+            reason,
+            len(self.steps),
+            verdict,
+            self.true_mm,
+            tuple(self.steps),
+        )
+
+
+def stack_in_lockstep(
+    scenes: Sequence[Scene], model: Model, settings: StackSettings, limits: EpisodeLimits
+) -> list[TrialEnd]:
+    """Run one trial per scene to its end; the scenes share piece, touched surface and bench."""
+    bench = Lockstep(scenes, settings.probe)
+    trials = []
+    for number, (scene, at) in enumerate(zip(scenes, bench.start_commands_mm(), strict=True)):
+        here = (float(at[0]), float(at[1]))
+        belief = Belief.unknown(settings.belief, here, model.base_rate)
+        trials.append(_Trial(number, scene, here, belief))
+    while active := [trial for trial in trials if trial.end is None]:
+        felt = bench.press([t.number for t in active], np.array([t.here for t in active]))
+        kept = _observed(active, felt, limits)
+        if not kept:
+            continue
+        probability = model.predict(felt.observation[kept])
+        for k, p in zip(kept, probability, strict=True):
+            _conclude(active[k], ContactPatch(model.points_mm.copy(), p), bench, model, settings)
+    return [trial.end for trial in trials if trial.end is not None]
+
+
+def pick_and_place_in_lockstep(
+    scenes: Sequence[Scene], settings: StackSettings, limits: EpisodeLimits
+) -> list[TrialEnd]:
+    """Press once and let go, whatever was felt: what the paper compares with."""
+    bench = Lockstep(scenes, settings.probe)
+    commands = bench.start_commands_mm()
+    felt = bench.press(range(len(scenes)), commands)
+    ends = []
+    for k, scene in enumerate(scenes):
+        at = (float(commands[k, 0]), float(commands[k, 1]))
+        trial = _Trial(k, scene, at, Belief.unknown(settings.belief, at))
+        trial.true_mm = _pair(felt.true_mm[k])
+        if felt.valid[k] and felt.press_n[k] >= limits.contact_n:
+            _release(trial, bench)
+        else:
+            trial.close(Outcome.ABORTED, "The press ended without a contact.")
+        assert trial.end is not None
+        ends.append(trial.end)
+    return ends
+
+
+def _observed(active: list[_Trial], felt: Presses, limits: EpisodeLimits) -> list[int]:
+    """Return which presses are observations; a trial whose press is none twice is aborted."""
+    kept = []
+    for k, trial in enumerate(active):
+        trial.true_mm = _pair(felt.true_mm[k])
+        reasons = []
+        if not felt.valid[k]:
+            reasons.append("no contact was found")
+        if not felt.press_n[k] >= limits.contact_n:
+            reasons.append(f"press force {felt.press_n[k]:.1f} N")
+        if not felt.slip_mm[k] <= limits.slip_mm:
+            reasons.append(f"slip {felt.slip_mm[k]:.2f} mm")
+        if not reasons:
+            trial.tries = 0
+            kept.append(k)
+            continue
+        trial.tries += 1
+        if trial.tries >= TRIES:
+            why = f"Probe {len(trial.steps) + 1} was rejected {TRIES} times: {'; '.join(reasons)}."
+            trial.close(Outcome.ABORTED, why)
+    return kept
+
+
+def _conclude(
+    trial: _Trial, patch: ContactPatch, bench: Lockstep, model: Model, settings: StackSettings
+) -> None:
+    com = trial.scene.piece.com_xy_mm
+    here = trial.here
+    trial.belief = trial.belief.updated(patch, here)
+    stability = judge_stability(trial.belief, patch, com, here, settings.stability)
+    action = choose(stability, trial.belief, here, settings.policy, settings.stability)
+    trial.steps.append(Concluded(here, trial.belief, stability, action))
+    if action.kind == "release":
+        _release(trial, bench)
+    elif action.kind == "give_up":
+        trial.close(Outcome.GAVE_UP, action.reason)
+    else:
+        trial.here = (here[0] + action.step_mm[0], here[1] + action.step_mm[1])
+
+
+def _release(trial: _Trial, bench: Lockstep) -> None:
+    """Let the exact judge of the whole tower decide, as the simulated bench does."""
+    assert trial.true_mm is not None
+    kick = release_kick_mm(trial.scene, 1)
+    yaw = bench.grippings[trial.number].yaw_rad
+    verdict = judge(stacked(trial.scene, trial.true_mm, yaw), kick)
+    outcome = Outcome.PLACED if verdict.stands else Outcome.FELL
+    trial.close(outcome, f"Margin {verdict.margin_mm:+.2f} mm.", verdict)
+
+
+def _pair(values: FloatArray) -> XY:
+    return float(values[0]), float(values[1])

@@ -1,0 +1,109 @@
+"""The batched closed loop is the device loop: same seeds, same course, same end.
+
+Sensor noise is off; the mechanical nuisances are those of the hard preset. What differs is the
+device path: rendered images, the tracker, cycles of 10 ms, unloading before the release.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from backend.assembly import make_scene, shipped_model
+from backend.config.method import StackSettings
+from backend.config.simulation import PRESETS, SimulationSettings
+from backend.core.facts import ActionChosen, EpisodeRecorded, TrialFinished
+from backend.core.flow import Outcome
+from backend.experiments.closed_loop import Model, pick_and_place_in_lockstep, stack_in_lockstep
+from backend.experiments.models import batch_model
+from backend.learning.checkpoint import load_checkpoint
+from backend.objects.catalogue import load_catalogue
+from backend.objects.surface import face_points
+from backend.runs.requests import SceneChoice, StackRequest
+from backend.sensing.episode import EpisodeLimits
+from backend.simulation.lockstep import Lockstep
+from backend.simulation.scene import Scene
+from tests.backend.experiments.device_loop import run_on_devices
+
+MECHANICAL = {
+    **PRESETS["off"],
+    "mu_grip": 0.6,
+    "grasp": {"hysteresis": True},
+    "spread": {"grasp_offset_mm": 0.5, "tilt_rad": 0.004, "mu": 0.15, "gel": 0.1, "gain": 0.05},
+}
+SEEDS = (11, 12, 13)
+
+
+@pytest.fixture(scope="module")
+def settings() -> SimulationSettings:
+    return SimulationSettings.model_validate({"preset": "off", **MECHANICAL})
+
+
+def three_scenes(settings: SimulationSettings) -> list[Scene]:
+    catalogue = load_catalogue()
+    return [make_scene(catalogue, SceneChoice(seed=seed), settings) for seed in SEEDS]
+
+
+@pytest.mark.slow
+def test_the_batch_takes_the_course_of_the_devices(settings: SimulationSettings) -> None:
+    catalogue, request = load_catalogue(), StackRequest()
+    scenes = three_scenes(settings)
+    model = batch_model(load_checkpoint(shipped_model("pot")), catalogue.top("pot"))
+    ends = stack_in_lockstep(scenes, model, StackSettings(), EpisodeLimits())
+    for end in ends:
+        facts = run_on_devices(settings, replace(request, seed=end.seed))
+        felt = [fact for fact in facts if isinstance(fact, EpisodeRecorded)]
+        chosen = [fact for fact in facts if isinstance(fact, ActionChosen)]
+        finished = next(fact for fact in facts if isinstance(fact, TrialFinished))
+        assert felt[0].episode.offset_mm == pytest.approx(end.steps[0].offset_mm, abs=1e-6)
+        first, theirs = end.steps[0].action, chosen[0].action
+        # The tracker's 0.03 px move single probabilities across 0.9, and with them the target.
+        assert first.kind == theirs.kind
+        assert first.step_mm == pytest.approx(theirs.step_mm, abs=0.5)
+        assert finished.outcome is end.outcome
+        assert abs(finished.probes - end.probes) <= 1
+
+
+def test_a_lone_trial_ends_as_it_does_in_a_crowd(settings: SimulationSettings) -> None:
+    scenes = three_scenes(settings)
+    together, alone = Lockstep(scenes), Lockstep(scenes[1:2])
+    commands = together.start_commands_mm()
+    crowd = together.press([0, 1, 2], commands)
+    lone = alone.press([0], commands[1:2])
+    assert lone.observation[0] == pytest.approx(crowd.observation[1], abs=1e-4)
+    assert lone.true_mm[0] == pytest.approx(crowd.true_mm[1], abs=1e-6)
+
+
+def test_the_start_of_a_scene_is_where_the_piece_is_pressed(settings: SimulationSettings) -> None:
+    scene = three_scenes(settings)[0]
+    bench = Lockstep([scene])
+    felt = bench.press([0], bench.start_commands_mm())
+    assert felt.valid.all()
+    assert felt.true_mm[0] == pytest.approx(scene.start_mm, abs=0.3)
+    assert felt.press_n[0] > 1.0
+
+
+def _constant(probability: float) -> Model:
+    piece = load_catalogue().top("pot")
+    points = face_points(piece.face)
+    return Model(lambda seen: np.full((len(seen), len(points)), probability), points, None)
+
+
+def test_one_who_is_always_sure_lets_it_fall(settings: SimulationSettings) -> None:
+    scenes = three_scenes(settings)
+    for end in stack_in_lockstep(scenes, _constant(0.99), StackSettings(), EpisodeLimits()):
+        assert (end.outcome, end.probes) == (Outcome.FELL, 1)
+        assert end.verdict is not None
+        assert end.verdict.margin_mm < 0
+    for end in pick_and_place_in_lockstep(scenes, StackSettings(), EpisodeLimits()):
+        assert end.outcome is Outcome.FELL
+
+
+def test_one_who_never_knows_gives_up(settings: SimulationSettings) -> None:
+    scenes = three_scenes(settings)[:1]
+    (end,) = stack_in_lockstep(scenes, _constant(0.4), StackSettings(), EpisodeLimits())
+    # Looking around, the piece may leave the support: then the press finds nothing.
+    assert end.outcome in (Outcome.GAVE_UP, Outcome.ABORTED)
+    assert end.verdict is None

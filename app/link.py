@@ -11,6 +11,7 @@ from backend.core.stream import SampleStream, Stream
 from backend.devices.interlock import Interlock
 from backend.devices.protocols import Device
 from backend.objects.catalogue import Catalogue
+from backend.runs.hand import Hand
 from backend.runs.requests import Request, RunStatus
 
 
@@ -46,6 +47,10 @@ class Link(Protocol):
     @property
     def devices(self) -> Mapping[str, Device]:
         """The devices of the present scene by name."""
+
+    @property
+    def hand(self) -> Hand | None:
+        """What the operator may do by hand on the present scene."""
 
     def clock_s(self) -> float:
         """Return the bench clock."""

@@ -8,6 +8,7 @@ clock on one thread. Both give the same facts.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -24,12 +25,14 @@ from backend.core.hub import Hub
 from backend.core.stream import SampleStream, Stream
 from backend.devices.guarded import GuardedArm, GuardedGripper
 from backend.devices.interlock import Interlock
+from backend.devices.jog import Around
 from backend.devices.protocols import Device
 from backend.devices.supervision import Supervision
-from backend.objects.catalogue import Catalogue
+from backend.objects.catalogue import Catalogue, Piece
 from backend.runs.bench import Bench
 from backend.runs.engine import Engine
 from backend.runs.gate import Gate
+from backend.runs.hand import Hand, Reach
 from backend.runs.host import RunHost
 from backend.runs.plan import Plan
 from backend.runs.plans import plan_of
@@ -68,6 +71,7 @@ class _Scene:
     sensing: LiveSensing
     arm: GuardedArm
     gripper: GuardedGripper
+    hand: Hand
 
 
 class Session:
@@ -119,6 +123,11 @@ class Session:
         """Folder of the last run, None if it is not kept."""
         return self._recorder.folder
 
+    @property
+    def hand(self) -> Hand | None:
+        """What the operator does by hand on the present scene (None before the first)."""
+        return None if self._scene is None else self._scene.hand
+
     def clock_s(self) -> float:
         """Return the bench clock of the present scene."""
         return 0.0 if self._scene is None else self._scene.stage.clock.now_s()
@@ -131,6 +140,10 @@ class Session:
         """Begin a run (live); raises ``RefusedError`` while another goes on or after STOP."""
         if self.engine.busy:
             raise RefusedError("BUSY", "A run is going on: cancel it first.")
+        if self.hand is not None and self.hand.active:
+            raise RefusedError("BY-HAND", "The bench is being moved by hand: let go first.")
+        if self.interlock.recovering:
+            raise RefusedError("RECOVERY", "After a fault: jog away from contact first.")
         self.engine.begin(self._plan(request))
 
     def run(self, request: Request) -> None:
@@ -164,6 +177,7 @@ class Session:
         """Move the bench by one step and process what the sensors delivered."""
         if self._scene is None:
             return
+        self._scene.hand.tick()
         self._scene.stage.advance(STEP_US)
         self._scene.sensing.update()
         self._supervision.check(self.clock_s())
@@ -278,6 +292,13 @@ class Session:
 
         arm = GuardedArm(stage.arm, self.interlock, now_s, press_n)
         gripper = GuardedGripper(stage.gripper, self.interlock, now_s)
-        self._scene = scene = _Scene(stage, sensing, arm, gripper)
+        around = Around(now_s, press_n, lambda: _surface_mm(stage.piece), lambda: self.engine.busy)
+        hand = Hand(Reach(arm, gripper, sensing), self.interlock, around, self.hub.publish)
+        self._scene = scene = _Scene(stage, sensing, arm, gripper, hand)
         self._supervision.begin(now_s())
         return scene
+
+
+def _surface_mm(piece: Piece) -> float:
+    """Return the height of ``G`` at which the held piece touches the support; NaN if unknown."""
+    return math.nan if piece.grip_height_mm is None else piece.grip_height_mm

@@ -186,3 +186,11 @@ class Said(Fact):
     """A sentence for the operator (the narration)."""
 
     text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Refused(Fact):
+    """An order by hand was refused or ended: name of the condition, sentence for the operator."""
+
+    reason: str
+    text: str

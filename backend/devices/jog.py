@@ -204,9 +204,14 @@ class Jog:
         return min(asked_mm_s, self._zone(here)[0])
 
     def _zone(self, here: Pose) -> tuple[float, str]:
-        interlock = self._interlock
-        return fastest_mm_s(here, self._around.surface_mm(), self._around.press_n(), interlock.limits,
-                            recovering=interlock.recovering)  # fmt: skip
+        interlock, press_n = self._interlock, self._around.press_n()
+        return fastest_mm_s(
+            here,
+            self._around.surface_mm(),
+            press_n,
+            interlock.limits,
+            recovering=interlock.recovering,
+        )
 
     def _here(self) -> Pose:
         try:

@@ -1,0 +1,142 @@
+"""What an operator does by hand while no run has the bench: jog, grip, open, zero, reference.
+
+Orders come from any thread. What moves is guarded by the interlock; what touches the sensing is
+done by ``tick`` on the bench's own time, and a refusal is announced as a fact.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from backend.core.facts import Fact, Refused, Said
+from backend.core.faults import FaultError, RefusedError
+from backend.devices.guarded import GuardedArm, GuardedGripper
+from backend.devices.interlock import Interlock
+from backend.devices.jog import Around, Jog
+from backend.devices.protocols import Motion
+from backend.sensing.live import LiveSensing
+
+REFERENCE_FRAMES = 10
+CLEAR_MM = 10.0
+"""By hand the jaws open this far beyond their present width."""
+OPEN_MM_S = 5.0
+WAITING = 4
+"""So many orders to the sensing may wait; further ones are refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """The devices and the sensing of one scene."""
+
+    arm: GuardedArm
+    gripper: GuardedGripper
+    sensing: LiveSensing
+
+
+class Hand:
+    """One operator at one scene. ``tick`` is called once per advance of the bench."""
+
+    def __init__(
+        self, reach: Reach, interlock: Interlock, around: Around, publish: Callable[[Fact], None]
+    ) -> None:
+        self._reach, self._interlock, self._around = reach, interlock, around
+        self._publish = publish
+        self._orders: deque[Callable[[], str]] = deque(maxlen=WAITING)
+        self._grip: Motion | None = None
+        self.jog = Jog(reach.arm, interlock, around, self._refused)
+
+    @property
+    def active(self) -> bool:
+        """Whether something moves by hand."""
+        return self.jog.active or self._gripping
+
+    @property
+    def rotates(self) -> bool:
+        """Whether the hand can turn and single joints can be driven."""
+        return self._reach.arm.rotates
+
+    # -- from any thread --------------------------------------------------------------------------
+
+    def grip(self, force_n: float) -> None:
+        """Close on the piece with ``force_n`` per finger; raises ``RefusedError``."""
+        self._take()
+        self._grip = self._reach.gripper.grip(force_n)
+
+    def open(self, *, confirmed: bool) -> None:
+        """Open the jaws; raises ``RefusedError``, "HOLDING" if a piece is held unconfirmed."""
+        self._take()
+        status, press_n = self._reach.gripper.status(), self._around.press_n()
+        self._grip = self._reach.gripper.open_by_hand(
+            status.width_mm + CLEAR_MM, OPEN_MM_S, confirmed=confirmed
+        )
+        if status.holding:
+            text = f"Opened by the operator on a held piece at {press_n:.1f} N of press force."
+            self._publish(Said(self._around.now_s(), text))
+
+    def zero_wrench(self) -> None:
+        """Take the tare anew, at rest in air."""
+        self._order(self._zero)
+
+    def take_references(self) -> None:
+        """Take both tactile references anew, at rest in air."""
+        self._order(self._reference)
+
+    # -- on the bench's own time ------------------------------------------------------------------
+
+    def tick(self) -> None:
+        """Move on: the jog lease, the gripper's end, what waits for the sensing."""
+        self._recover()
+        self.jog.tick()
+        if self._grip is not None and self._grip.done:
+            self._grip = None
+        if self._around.busy():
+            self._orders.clear()
+        while self._orders:
+            try:
+                text = self._orders.popleft()()
+            except RefusedError as error:
+                self._refused(error)
+            except FaultError as error:
+                self._refused(RefusedError(error.fault.code, error.fault.what))
+            else:
+                self._publish(Said(self._around.now_s(), text))
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    @property
+    def _gripping(self) -> bool:
+        return self._grip is not None and not self._grip.done
+
+    def _take(self) -> None:
+        """Refuse while something else moves; else take the permission to move."""
+        if self._around.busy():
+            raise RefusedError("BUSY", "A run is going on: cancel it first.")
+        if self.active:
+            raise RefusedError("MOVING", "Wait until the last motion has ended.")
+        self._interlock.renew_lease(self._around.now_s())
+
+    def _order(self, order: Callable[[], str]) -> None:
+        if self._around.busy():
+            raise RefusedError("BUSY", "A run takes its own tare and references.")
+        if len(self._orders) == WAITING:
+            raise RefusedError("WAITING", "Earlier orders are still waiting.")
+        self._orders.append(order)
+
+    def _zero(self) -> str:
+        self._reach.sensing.zero_wrench(self._around.now_s())
+        return "Force and moment are zeroed."
+
+    def _reference(self) -> str:
+        self._reach.sensing.take_references(REFERENCE_FRAMES)
+        return "The tactile reference is taken anew."
+
+    def _recover(self) -> None:
+        """End the recovery once the wrist is free of contact."""
+        free = abs(self._around.press_n()) <= self._interlock.limits.contact_n
+        if self._interlock.recovering and free:
+            self._interlock.recovering = False
+
+    def _refused(self, error: RefusedError) -> None:
+        self._publish(Refused(self._around.now_s(), error.reason, error.detail))

@@ -1,0 +1,214 @@
+"""One dataset folder, as window, campaign and command line hold it."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from dataclasses import dataclass, replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Self
+
+from backend.catalogue import episodes, recording
+from backend.catalogue.database import NAME as CATALOGUE
+from backend.catalogue.database import Database
+from backend.catalogue.geometry import GeometryStore, TruePatch
+from backend.catalogue.journal import Journal
+from backend.catalogue.labels import LabelBook
+from backend.catalogue.local_disk import refuse_network
+from backend.catalogue.schema import SCHEMA_VERSION
+from backend.catalogue.uuid7 import uuid7
+from backend.catalogue.values import (
+    Content,
+    EpisodeContext,
+    EpisodeEntry,
+    EpisodeFilter,
+    Label,
+    Source,
+)
+from backend.catalogue.writer_lock import WriterLock
+from backend.core.faults import InputError
+from backend.core.files import write_atomically
+from backend.core.flow import Episode
+from backend.dataset.episode_reading import read_episode
+from backend.dataset.pictures import KeepFrames
+
+DESCRIPTION = "dataset.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """``dataset.json``: what the dataset is. ``site``: the chain that this copy of it writes.
+
+    ``home``: computer and folder where the site was begun. A copy elsewhere begins its own, so
+    that two copies never continue one chain in two ways.
+    """
+
+    uuid: str
+    site: str
+    home: str
+    schema_version: int
+    created_by: str
+
+
+class Dataset:
+    """Episodes, labels and geometry of one folder. Every call may come from any thread.
+
+    ``notices``: what opening found, a sentence each. Use it as a context, or ``close`` it.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        description: Description,
+        database: Database,
+        lock: WriterLock | None,
+    ) -> None:
+        self.folder, self.description, self.database = folder, description, database
+        self._lock = lock
+        self.notices: tuple[str, ...] = ()
+        self.geometry = GeometryStore(folder / "geometry")
+        self.journal = Journal(folder / "labels")
+        self.labels = LabelBook(database, self.journal, description.site)
+
+    @classmethod
+    def open(
+        cls, folder: Path, *, create: bool = True, write: bool = True, person: str = ""
+    ) -> Self:
+        """Open the dataset ``folder``, or make it where ``create`` allows.
+
+        To write, it takes the lock in the name of ``person`` (default: the account): raises
+        ``DatasetInUseError`` naming the other writer. Raises ``InputError`` for a network file
+        system, a folder that is no dataset, or a damaged catalogue.
+        """
+        refuse_network(folder)
+        is_there = (folder / DESCRIPTION).is_file()
+        if not is_there and not (create and write):
+            raise InputError(
+                "There is no dataset.", str(folder), "Name the folder that holds dataset.json."
+            )
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = WriterLock.take(folder, person) if write else None
+        try:
+            description = _describe(folder) if write else _read(folder)
+            database = Database.open(folder / CATALOGUE, write=write)
+        except BaseException:
+            if lock is not None:
+                lock.release()
+            raise
+        dataset = cls(folder, description, database, lock)
+        dataset._reconcile()
+        return dataset
+
+    def _reconcile(self) -> None:
+        notices = []
+        if self._lock is not None and not self.database.writable:
+            notices.append(
+                "The catalogue was written by a newer version of Touchdown: open for reading only."
+            )
+        self.notices = tuple(notices)
+
+    @property
+    def writable(self) -> bool:
+        """Whether this dataset may be written here."""
+        return self.database.writable
+
+    def record(
+        self,
+        episode: Episode,
+        label: Label,
+        *,
+        source: Source,
+        context: EpisodeContext,
+        keep_frames: KeepFrames = "jpeg95_444",
+    ) -> EpisodeEntry:
+        """Make ``episode`` and its first label durable; returns when both are.
+
+        Raises ``FaultError`` if the disk refuses: the caller still holds the episode.
+        """
+        episode = recording.with_uuid(episode)
+        message = episodes.label_message(episode, label, source, context, time.time_ns())
+        written = recording.write_file(self.folder, episode, message, context, keep_frames)
+        content = Content(label, source, context.geometry)
+        with self.labels.commit() as connection:
+            site = self.description.site
+            recording.enter(connection, site, written.row, content, "record")
+        return self.entry(episode.episode_id)
+
+    def entry(self, uuid: str) -> EpisodeEntry:
+        """Return one entry; raises ``InputError`` if there is no such episode."""
+        found = episodes.entry(self.database, uuid)
+        if found is None:
+            raise InputError("There is no such episode.", uuid, "List the episodes of the dataset.")
+        return found
+
+    def episodes(self, wanted: EpisodeFilter | None = None) -> list[EpisodeEntry]:
+        """Return the entries that pass the filter (default: all but deleted), oldest first."""
+        return episodes.find(self.database, wanted or EpisodeFilter())
+
+    def path(self, uuid: str) -> Path:
+        """Return the file of an episode."""
+        return self.folder / self.entry(uuid).path
+
+    def read(self, uuid: str) -> Episode:
+        """Read the signals of an episode; raises ``InputError`` naming a damaged file."""
+        return read_episode(self.path(uuid))
+
+    def patch(self, uuid: str) -> TruePatch:
+        """Return the true patch of the label that holds, derived from the geometry."""
+        head = self.labels.head(uuid)
+        return self.geometry.patch(head.geometry, head.label)
+
+    def people(self) -> list[str]:
+        """Return the names of all who ever acted here."""
+        return self.labels.people()
+
+    def close(self) -> None:
+        """Close the catalogue and let others write; closing twice does no harm."""
+        self.database.close()
+        if self._lock is not None:
+            self._lock.release()
+            self._lock = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _describe(folder: Path) -> Description:
+    """Return the description, made or moved to a new site where that is due."""
+    home = f"{socket.gethostname()}:{folder.resolve()}"
+    path = folder / DESCRIPTION
+    if not path.is_file():
+        found = Description(uuid7(), uuid7(), home, SCHEMA_VERSION, f"touchdown {_version()}")
+    else:
+        found = _read(folder)
+        if found.home == home:
+            return found
+        found = replace(found, site=uuid7(), home=home)
+    content = {name: getattr(found, name) for name in Description.__slots__}
+    frames = {"O": "bottom face", "F": "grasped face"}
+    content |= {"units": {"length": "um", "angle": "mdeg", "time": "ns"}, "frames": frames}
+    write_atomically(path, json.dumps(content, indent=2).encode("utf-8"))
+    return found
+
+
+def _read(folder: Path) -> Description:
+    path = folder / DESCRIPTION
+    try:
+        content = json.loads(path.read_text("utf-8"))
+        return Description(**{name: content[name] for name in Description.__slots__})
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            "The description of the dataset cannot be read.", str(path), "Restore it from a copy."
+        ) from error
+
+
+def _version() -> str:
+    try:
+        return version("touchdown")
+    except PackageNotFoundError:
+        return "(not installed)"

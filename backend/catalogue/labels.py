@@ -1,0 +1,322 @@
+"""The labels of a dataset: who set what, when and from what source, and all of it again by undo.
+
+Every action is one operation, one transaction and one step of undo. A refusal is a
+``RefusedError`` with the reason in words and changes nothing.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from threading import RLock
+from typing import Any
+
+from backend.catalogue import heads, operations, review
+from backend.catalogue.database import Database
+from backend.catalogue.journal import Journal
+from backend.catalogue.label_reading import LabelReader, standing_of
+from backend.catalogue.operations import Draft, Mark, new_revision, read_revision
+from backend.catalogue.review import REJECT_REASONS, Action, Standing, check_person
+from backend.catalogue.undo import Stacks, inverse, read_stacks
+from backend.catalogue.values import (
+    DELETED,
+    FLAG,
+    SKIPPED,
+    Content,
+    Label,
+    LabelState,
+    Looked,
+    Operation,
+    Revision,
+    Source,
+    Verdict,
+)
+from backend.core.faults import InputError, RefusedError
+
+
+class LabelBook(LabelReader):
+    """Labels of one dataset. ``site``: the chain that new operations continue.
+
+    ``four_eyes``: nobody reviews what they wrote. ``frozen``: why nothing may be changed ("" if it
+    may); set where the chain of hashes is broken.
+    """
+
+    def __init__(self, database: Database, journal: Journal, site: str) -> None:
+        super().__init__(database)
+        self._journal, self.site = journal, site
+        self._lock = RLock()
+        self._stacks: dict[str, Stacks] = {}
+        self.four_eyes = True
+        self.frozen = ""
+        self.journal_trouble = ""
+
+    # One episode
+
+    def set(
+        self,
+        person: str,
+        uuid: str,
+        label: Label,
+        *,
+        source: Source | None = None,
+        verdict: Verdict | None = None,
+        note: str | None = None,
+    ) -> Revision:
+        """Write a draft. ``source`` None: ``human`` if the offset changed, else as it was.
+
+        ``verdict`` and ``note`` None: as they were. Nothing changed: nothing is written. Another's
+        draft or rejected label has to be taken over first.
+        """
+        with self._act(person, "label.set") as (connection, draft, name):
+            head, standing = _look(connection, uuid)
+            state = review.after("set", standing, name)
+            wanted = _edited(head, label, source, verdict, note)
+            if wanted != head or head.state not in ("draft", state):
+                draft.revs.append(_following(head, wanted, state))
+        return self.head(uuid)
+
+    def accept(
+        self,
+        person: str,
+        uuid: str,
+        label: Label | None = None,
+        *,
+        source: Source | None = None,
+        verdict: Verdict | None = None,
+        looked: Looked | None = None,
+    ) -> Revision:
+        """Submit a draft for review; with a ``label`` that differs, set and submit it in one."""
+        with self._act(person, "label.accept_next", looked) as (connection, draft, name):
+            head, standing = _look(connection, uuid)
+            wanted = _edited(head, label or head.label, source, verdict, None)
+            if wanted.label != head.label:
+                edited = review.after("set", standing, name)
+                standing = replace(standing, state=edited)
+            state = review.after("accept", standing, name)
+            draft.revs.append(_following(head, wanted, state))
+        return self.head(uuid)
+
+    def take_over(self, person: str, uuid: str) -> Revision:
+        """Make another's draft or rejected label a draft of ``person``, as it is."""
+        with self._act(person, "label.take_over") as (connection, draft, name):
+            head, standing = _look(connection, uuid)
+            review.refuse_closed(standing)
+            if head.state not in ("draft", "rejected") or name in standing.authors:
+                raise RefusedError("nothing to take over", "This is no draft of another person.")
+            draft.revs.append(_following(head, head, "draft"))
+        return self.head(uuid)
+
+    def approve(self, person: str, uuid: str, *, looked: Looked | None = None) -> Revision:
+        """Approve a submitted label (or a changed one that was approved before)."""
+        return self._review(person, uuid, "approve", None, looked)
+
+    def reject(
+        self, person: str, uuid: str, reason: str, *, looked: Looked | None = None
+    ) -> Revision:
+        """Reject a label with a reason; it goes back to its author."""
+        if not reason.strip():
+            raise InputError(
+                "A rejection needs a reason.", uuid, f"For instance: {', '.join(REJECT_REASONS)}."
+            )
+        return self._review(person, uuid, "reject", reason.strip(), looked)
+
+    def _review(
+        self, person: str, uuid: str, action: Action, reason: str | None, looked: Looked | None
+    ) -> Revision:
+        with self._act(person, action, looked) as (connection, draft, name):
+            head, standing = _look(connection, uuid)
+            state = review.after(action, standing, name, four_eyes=self.four_eyes)
+            draft.revs.append(_following(head, replace(head, reason=reason), state))
+            done = {"rev_uuid": head.rev_uuid, "decision": state, "reason": reason}
+            draft.reviews.append(done)
+        return self.head(uuid)
+
+    def resolve(self, person: str, uuid: str, rev_uuid: str) -> Revision:
+        """End a conflict: ``rev_uuid``, one of the leaves, holds and the others are closed."""
+        with self._act(person, "resolve") as (connection, draft, _):
+            leaves = heads.leaves_of(*heads.read_nodes(connection, uuid))
+            ids = [leaf.rev_uuid for leaf in leaves]
+            if len(ids) < 2 or rev_uuid not in ids:
+                raise RefusedError("no conflict", "There is no conflict that this would resolve.")
+            winner = read_revision(connection, rev_uuid)
+            repeated = _following(winner, winner, winner.state)
+            draft.revs.append(repeated)
+            draft.repeats.append(repeated["rev_uuid"])
+            draft.closes += [other for other in ids if other != rev_uuid]
+        return self.head(uuid)
+
+    def restore_revision(self, person: str, uuid: str, rev_uuid: str) -> Revision:
+        """Write an old revision again, as a draft with its own source."""
+        with self._database.reading() as connection:
+            old = read_revision(connection, rev_uuid)
+        if old.episode != uuid:
+            raise InputError("The revision is of another episode.", rev_uuid, "Look at its history")
+        return self.set(
+            person, uuid, old.label, source=old.source, verdict=old.verdict, note=old.note
+        )
+
+    # Marks
+
+    def skip(self, person: str, uuid: str) -> None:
+        """Put an episode behind all others of its queue."""
+        self._mark(person, "skip", uuid, SKIPPED, present=True)
+
+    def flag(self, person: str, uuid: str, present: bool = True, note: str = "") -> None:
+        """Set or remove the flag."""
+        self._mark(person, "flag", uuid, FLAG, present=present, note=note)
+
+    def tag(self, person: str, uuid: str, name: str, present: bool = True) -> None:
+        """Set or remove a tag (any word but those of the catalogue itself)."""
+        if not name.strip() or name in (FLAG, SKIPPED, DELETED):
+            raise InputError("This cannot be a tag.", repr(name), "Choose another word.")
+        self._mark(person, "tag", uuid, name.strip(), present=present)
+
+    def delete(self, person: str, uuid: str, reason: str) -> None:
+        """Hide an episode, with a reason; its file and history stay."""
+        if not reason.strip():
+            raise InputError("A deletion needs a reason.", uuid, "Say why in a few words.")
+        self._mark(person, "delete", uuid, DELETED, present=True, note=reason.strip())
+
+    def restore(self, person: str, uuid: str, reason: str = "") -> None:
+        """Bring a deleted episode back."""
+        self._mark(person, "restore", uuid, DELETED, present=False, note=reason.strip())
+
+    def _mark(self, person: str, verb: str, uuid: str, name: str, *,
+              present: bool, note: str = "") -> None:  # fmt: skip
+        with self._act(person, verb) as (connection, draft, _):
+            standing = standing_of(connection, uuid)
+            if standing.deleted and name != DELETED:
+                review.refuse_closed(standing)
+            mark = _new_mark(connection, uuid, name, present, note)
+            if mark["present"] != mark["was"] or mark["note"] != mark["was_note"]:
+                draft.marks.append(mark)
+
+    # Undo
+
+    def can_undo(self, person: str) -> bool:
+        """Whether ``person`` has an action to undo."""
+        return bool(self._stack(person).undo)
+
+    def can_redo(self, person: str) -> bool:
+        """Whether ``person`` has an undo to take back."""
+        return bool(self._stack(person).redo)
+
+    def undo(self, person: str) -> Operation | None:
+        """Take back the last action of ``person``; None if there is none.
+
+        Raises ``RefusedError`` naming who changed the label since.
+        """
+        return self._reverse(person, "undo", self._stack(person).undo)
+
+    def redo(self, person: str) -> Operation | None:
+        """Take back the last undo of ``person``; None if there is none."""
+        return self._reverse(person, "redo", self._stack(person).redo)
+
+    def _reverse(self, person: str, verb: str, stack: Sequence[str]) -> Operation | None:
+        with self._lock:
+            if not stack:
+                return None
+            target = stack[-1]
+            with self.commit() as connection:
+                (found,) = operations.read_operations(connection, "op_uuid = ?", (target,))
+                draft = inverse(connection, found)
+                operation = self._append(connection, check_person(person), verb, draft, target)
+            self._note(operation)
+            return operation
+
+    def _stack(self, person: str) -> Stacks:
+        with self._lock:
+            if person not in self._stacks:
+                with self._database.reading() as connection:
+                    self._stacks[person] = read_stacks(connection, person)
+            return self._stacks[person]
+
+    def forget_stacks(self) -> None:
+        """Compute undo and redo anew when they are next asked for (after a merge or replay)."""
+        with self._lock:
+            self._stacks.clear()
+
+    # Writing
+
+    @contextmanager
+    def commit(self) -> Iterator[sqlite3.Connection]:
+        """One transaction on the log; the journal follows it. For the parts of the catalogue."""
+        if self.frozen:
+            raise RefusedError("labels are read-only", self.frozen)
+        with self._lock:
+            with self._database.transaction() as connection:
+                yield connection
+            self._follow()
+
+    def _follow(self) -> None:
+        try:
+            with self._database.reading() as connection:
+                self._journal.catch_up(connection, self.site)
+            self.journal_trouble = ""
+        except OSError as error:
+            # The operation is safe in the catalogue; the next append writes what is missing.
+            self.journal_trouble = f"The journal of labels lags behind: {error}."
+
+    @contextmanager
+    def _act(
+        self, person: str, verb: str, looked: Looked | None = None
+    ) -> Iterator[tuple[sqlite3.Connection, Draft, str]]:
+        """Collect a draft and commit it as one operation; an empty draft writes nothing."""
+        name, draft = check_person(person), Draft()
+        if looked is not None:
+            draft.extra = {"seen_ms": looked.seen_ms, "blind": looked.blind}
+        with self._lock:
+            operation = None
+            with self.commit() as connection:
+                yield connection, draft, name
+                if draft.revs or draft.marks:
+                    operation = self._append(connection, name, verb, draft)
+            if operation is not None:
+                self._note(operation)
+
+    def _append(self, connection: sqlite3.Connection, name: str, verb: str, draft: Draft,
+                target: str | None = None) -> Operation:  # fmt: skip
+        operation, touched = operations.append(connection, self.site, name, verb, draft, target)
+        heads.refresh(connection, touched)
+        return operation
+
+    def _note(self, operation: Operation) -> None:
+        if operation.actor in self._stacks:
+            stacks = self._stacks[operation.actor]
+            stacks.apply(operation.op_uuid, operation.verb, operation.target_op)
+
+
+def _look(connection: sqlite3.Connection, uuid: str) -> tuple[Revision, Standing]:
+    standing = standing_of(connection, uuid)
+    row = connection.execute("SELECT rev_uuid FROM label_head WHERE episode = ?", (uuid,))
+    return read_revision(connection, row.fetchone()[0]), standing
+
+
+def _edited(head: Revision, label: Label, source: Source | None, verdict: Verdict | None,
+            note: str | None) -> Revision:  # fmt: skip
+    moved = label != head.label
+    return replace(
+        head,
+        label=label,
+        source=source or ("human" if moved else head.source),
+        verdict=verdict or head.verdict,
+        note=head.note if note is None else note,
+    )
+
+
+def _following(head: Revision, said: Revision, state: LabelState) -> dict[str, Any]:
+    """Return the revision after ``head`` that says what ``said`` says."""
+    reason = said.reason if state == "rejected" else None
+    return new_revision(head.episode, head.rev_uuid, Content.of(said), state, reason)
+
+
+def _new_mark(
+    connection: sqlite3.Connection, uuid: str, name: str, present: bool, note: str
+) -> Mark:
+    row = connection.execute(
+        "SELECT present, note FROM mark WHERE episode = ? AND name = ?", (uuid, name)
+    ).fetchone()
+    was, was_note = (bool(row[0]), row[1]) if row else (False, "")
+    return Mark(episode=uuid, name=name, present=present, note=note, was=was, was_note=was_note)

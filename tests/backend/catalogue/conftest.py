@@ -1,0 +1,59 @@
+"""A dataset with a pair of real pieces, and small episodes to fill it with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.uuid7 import uuid7
+from backend.catalogue.values import EpisodeContext, EpisodeEntry, Label
+from backend.core.flow import Episode, EpisodeQuality
+from backend.objects.catalogue import load_catalogue
+
+Record = Callable[..., EpisodeEntry]
+
+
+def small_episode(name: str | None = None, seed: int = 1, accepted: bool = True) -> Episode:
+    rng = np.random.default_rng(seed)
+    reasons = () if accepted else ("slip",)
+    quality = EpisodeQuality(accepted, reasons, 0, 0.0, 0, 5.0, 0.0)
+    observation = rng.normal(size=(20, 258)).astype(np.float32)
+    return Episode(name or uuid7(), "pot", observation, rng.normal(size=2), 0.5, quality)
+
+
+def context_for(dataset: Dataset, piece: str = "pot", bottom: str = "circle15") -> EpisodeContext:
+    pieces = load_catalogue()
+    geometry = dataset.geometry.store_pair(pieces.top(piece), pieces.bottom(bottom))
+    return EpisodeContext(
+        series="series-1",
+        bottom=bottom,
+        geometry=geometry,
+        person="cleo",
+        grip_id="grip-1",
+        mounting_id="mounting-1",
+        campaign="campaign-1",
+        plan_item=3,
+        seed=7,
+    )
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Iterator[Dataset]:
+    with Dataset.open(tmp_path / "data", person="cleo") as opened:
+        yield opened
+
+
+@pytest.fixture
+def record(dataset: Dataset) -> Record:
+    context = context_for(dataset)
+
+    def make(x_um: int | None = 1000, y_um: int | None = -500, **changes: bool) -> EpisodeEntry:
+        label = Label(x_um, y_um, 0, 150) if x_um is not None else Label()
+        episode = small_episode(**changes)  # type: ignore[arg-type]
+        return dataset.record(episode, label, source="commanded", context=context)
+
+    return make

@@ -131,9 +131,36 @@ class TrainingSettings(Settings):
     epochs: Annotated[int, Field(ge=1)] = 16
     patience: Annotated[int, Field(ge=1)] = 8
     """Stop after this many epochs without a lower validation loss [U]."""
+    keep: Literal["best", "last"] = "best"
+    """Which epoch's weights [U]: of the lowest validation loss, or the last ones."""
     batch: Annotated[int, Field(ge=1)] = 64
     validation_share: Probability = 0.1
     seed: Annotated[int, Field(ge=0)] = 0
+
+
+class CollectSettings(Settings):
+    """Collecting labelled probes: how long one grip lasts, and what a measured label is worth."""
+
+    probes_per_grip: Annotated[int, Field(ge=1)] = 50
+    """At most so many probes before the piece is put back and gripped anew [U]."""
+    grips_per_mounting: Annotated[int, Field(ge=1)] = 10
+    """At most so many grips before bottom and gels are fitted anew [U]."""
+    drift_mm: Positive = 0.3
+    """A grip ends when the height of contact has changed by more than this [U]."""
+    weight_tolerance_n: Positive = 0.15
+    """The held piece weighs what its file says within this; nominal masses are only told [U]."""
+    clearance_mm: Positive = 10.0
+    """The piece is carried between jig and bottom at this height above the jig [U]."""
+    open_mm: Positive = 10.0
+    """The jaws open by so much over the jig [U]."""
+    tries: Annotated[int, Field(ge=1)] = 2
+    """A displacement whose probes are rejected so many times is put off, then left out [U]."""
+    arm_sigma_mm: Positive = 0.05
+    """Standard uncertainty of the arm's position [U]."""
+    grip_sigma_mm: Positive = 0.1
+    """Standard uncertainty of the piece in the grasp when it comes from a jig [U]."""
+    origin_sigma_mm: Positive = 0.1
+    """Standard uncertainty of the bottom's place before a check [U]."""
 
 
 class StackSettings(Settings):
@@ -144,5 +171,6 @@ class StackSettings(Settings):
     stability: StabilitySettings = StabilitySettings()
     policy: PolicySettings = PolicySettings()
     release: ReleaseSettings = ReleaseSettings()
+    collect: CollectSettings = CollectSettings()
     strategy: Literal["paper", "pick-and-place"] = "paper"
     mode: Literal["auto", "approve", "step"] = "auto"

@@ -112,6 +112,29 @@ def load_rows(folder: Path, piece: str | None = None) -> TrainingRows:
     return _stack(rows, patches, wanted or "", geometry)
 
 
+def join_rows(parts: Sequence[TrainingRows]) -> TrainingRows:
+    """Return all episodes in order; raises ``InputError`` for different pieces or geometries."""
+    first = parts[0]
+    for part in parts:
+        if (part.piece, part.geometry) != (first.piece, first.geometry):
+            raise InputError(
+                f"The episodes belong to different pieces: {first.piece}, {part.piece}.",
+                "episodes",
+                "Join episodes of one piece only.",
+            )
+    return TrainingRows(
+        first.piece,
+        first.geometry,
+        np.concatenate([part.observation for part in parts]),
+        np.concatenate([part.offset_mm for part in parts]),
+        np.concatenate([part.patch for part in parts]),
+        tuple(name for part in parts for name in part.bottom),
+        tuple(name for part in parts for name in part.grip_id),
+        tuple(name for part in parts for name in part.mounting_id),
+        tuple(label for part in parts for label in part.labels),
+    )
+
+
 def _stack(
     rows: Sequence[EpisodeRow], patches: Sequence[NDArray[np.bool_]], piece: str, geometry: str
 ) -> TrainingRows:

@@ -52,6 +52,8 @@ class Card(BaseModel):
     frames: int = SAMPLES_PER_PROBE
     resampling: str = "markers linear between frames, wrench mean of the 100 ms before the tick"
     normaliser: str = "tensors 'mean' and 'scale' of the weights"
+    answers: Literal["patch", "stability"] = "patch"
+    """One probability per face point, or a single one that the piece would stand."""
     piece: str
     geometry: str
     delta: float = 0.9

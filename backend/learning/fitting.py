@@ -57,7 +57,7 @@ def fit(job: TrainingJob, tell: Tell, cancelled: Callable[[], bool]) -> None:
             "learning_rate",
             "Choose a smaller --learning-rate.",
         )
-    card = save_checkpoint(job.out, trainer.best_model().arrays(), _card(rows, trainer, data))
+    card = save_checkpoint(job.out, trainer.best_model().arrays(), card_of(rows, trainer, data))
     forget_state(state)
     best = trainer.best_figures
     tell(
@@ -85,7 +85,8 @@ def _loaded(rows: TrainingRows, trainer: Trainer) -> Loaded:
     )
 
 
-def _card(rows: TrainingRows, trainer: Trainer, data: str) -> Card:
+def card_of(rows: TrainingRows, trainer: Trainer, data: str) -> Card:
+    """Return the card of a finished training; ``data`` is the fingerprint of ``rows``."""
     settings, best = trainer.settings, trainer.best_figures
     sources = sorted({str(label.get("source")) for label in rows.labels})
     return Card(

@@ -47,8 +47,9 @@ class Trainer:
     """Model, optimiser and data of one training.
 
     The order of the samples depends on seed and epoch only, so that no generator state is needed to
-    resume. The weights kept are those of the epoch with the lowest validation loss;
-    ``best_figures`` are their IoU and point accuracy on the validation side.
+    resume. The weights kept are those of the epoch with the lowest validation loss (or the last,
+    as ``settings.keep`` says); ``best_figures`` are their IoU and point accuracy on the validation
+    side.
     """
 
     def __init__(self, rows: TrainingRows, settings: TrainingSettings) -> None:
@@ -122,7 +123,7 @@ class Trainer:
         predicted = torch.sigmoid(logits).numpy() > LEVEL
         truth = targets.numpy() > LEVEL
         figures = (iou(predicted, truth), point_accuracy(predicted, truth))
-        if loss < self.best_loss:
+        if loss < self.best_loss or self.settings.keep == "last":
             self.best_epoch, self.best_loss, self.best_state = self.done, loss, self._weights()
             self.best_figures = figures
         return EpochReport(

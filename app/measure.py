@@ -1,4 +1,4 @@
-"""Measures the window at full load: frame rates, event-loop lag, CPU of the window's thread."""
+"""Measures the window at full load: frame rates, event-loop lag, processor, decision latency."""
 
 from __future__ import annotations
 
@@ -12,8 +12,12 @@ from PySide6.QtCore import QObject, Qt, QTimer
 
 from app.application import TouchdownApp
 from app.stack.workspace import StackWorkspace
+from backend.core.facts import ActionChosen, Fact
+from backend.runs.requests import StackRequest
 
 HEARTBEAT_MS = 10
+TRIALS, FIRST_SEED = 500, 100
+"""More trials than any measurement lasts: changes of the trial belong to the load."""
 
 
 class Measurement(QObject):
@@ -25,6 +29,7 @@ class Measurement(QObject):
         super().__init__(main)
         self._main, self._seconds, self._report = main, seconds, report
         self._lags_ms: list[float] = []
+        self._latencies_ms: list[float] = []
         self._due_s = 0.0
         self._timer = QTimer(self)
         self._timer.setTimerType(Qt.TimerType.PreciseTimer)
@@ -38,13 +43,19 @@ class Measurement(QObject):
             self._give_up_if_failed()
             return
         if self._warm_s == 0.0:
-            self._main.actions.action("stack.start").trigger()
+            self._main.link.hub.subscribe(self._take)
+            self._main.link.start(StackRequest(trials=TRIALS, seed=FIRST_SEED))
             self._warm_s = time.perf_counter() + 2.0
         if time.perf_counter() < self._warm_s:
             return
         self._timer.timeout.disconnect(self._wait)
         self._timer.timeout.connect(self._beat)
         self._begin()
+
+    def _take(self, fact: Fact) -> None:
+        """Note each decision (on the bench's thread: an append is all it may cost)."""
+        if isinstance(fact, ActionChosen):
+            self._latencies_ms.append(fact.latency_ms)
 
     def _give_up_if_failed(self) -> None:
         if self._main.cards.codes:
@@ -95,8 +106,22 @@ class Measurement(QObject):
                 "lag_p50_ms": round(float(np.percentile(lags, 50)), 2),
                 "lag_p99_ms": round(float(np.percentile(lags, 99)), 2),
                 "lag_max_ms": round(float(lags.max()), 2),
+                **_decisions(self._latencies_ms),
                 "memory_mb": round(self._process.memory_info().rss / 1e6, 1),
                 "pace": round(self._main.pace, 3),
             }
         )
         self._main.quit_at_once()
+
+
+def _decisions(latencies_ms: list[float]) -> dict[str, float]:
+    """Return count, median, 99th percentile and worst; the count alone if there were none."""
+    if not latencies_ms:
+        return {"decisions": 0}
+    p50, p99 = np.percentile(latencies_ms, [50, 99])
+    return {
+        "decisions": len(latencies_ms),
+        "decision_p50_ms": round(float(p50), 2),
+        "decision_p99_ms": round(float(p99), 2),
+        "decision_max_ms": round(max(latencies_ms), 2),
+    }

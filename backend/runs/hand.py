@@ -19,6 +19,7 @@ from backend.devices.protocols import Motion
 from backend.sensing.live import LiveSensing
 
 REFERENCE_FRAMES = 10
+REFERENCE_S = 2.0
 CLEAR_MM = 10.0
 """By hand the jaws open this far beyond their present width."""
 OPEN_MM_S = 5.0
@@ -43,7 +44,7 @@ class Hand:
     ) -> None:
         self._reach, self._interlock, self._around = reach, interlock, around
         self._publish = publish
-        self._orders: deque[Callable[[], str]] = deque(maxlen=WAITING)
+        self._orders: deque[tuple[Callable[[], str], float]] = deque(maxlen=WAITING)
         self._grip: Motion | None = None
         self.jog = Jog(reach.arm, interlock, around, self._refused)
 
@@ -77,11 +78,14 @@ class Hand:
 
     def zero_wrench(self) -> None:
         """Take the tare anew, at rest in air."""
-        self._order(self._zero)
+        self._order(self._zero, 0.0)
 
     def take_references(self) -> None:
-        """Take both tactile references anew, at rest in air."""
-        self._order(self._reference)
+        """Take both tactile references anew, at rest in air.
+
+        A marker hidden for a moment refuses them; they are tried again for ``REFERENCE_S``.
+        """
+        self._order(self._reference, REFERENCE_S)
 
     # -- on the bench's own time ------------------------------------------------------------------
 
@@ -94,9 +98,13 @@ class Hand:
         if self._around.busy():
             self._orders.clear()
         while self._orders:
+            order, until_s = self._orders.popleft()
             try:
-                text = self._orders.popleft()()
+                text = order()
             except RefusedError as error:
+                if self._around.now_s() < until_s:
+                    self._orders.appendleft((order, until_s))
+                    return
                 self._refused(error)
             except FaultError as error:
                 self._refused(RefusedError(error.fault.code, error.fault.what))
@@ -117,12 +125,12 @@ class Hand:
             raise RefusedError("MOVING", "Wait until the last motion has ended.")
         self._interlock.renew_lease(self._around.now_s())
 
-    def _order(self, order: Callable[[], str]) -> None:
+    def _order(self, order: Callable[[], str], for_s: float) -> None:
         if self._around.busy():
             raise RefusedError("BUSY", "A run takes its own tare and references.")
         if len(self._orders) == WAITING:
             raise RefusedError("WAITING", "Earlier orders are still waiting.")
-        self._orders.append(order)
+        self._orders.append((order, self._around.now_s() + for_s))
 
     def _zero(self) -> str:
         self._reach.sensing.zero_wrench(self._around.now_s())

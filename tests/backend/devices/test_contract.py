@@ -353,3 +353,47 @@ def test_senseless_numbers_are_refused(bench: DevicesUnderTest, speed: float) ->
         bench.arm.move_to(Pose(float("nan"), 0.0, 50.0), 10.0)
     with pytest.raises(ValueError, match="finite"):
         bench.gripper.open_to(50.0, speed)
+
+
+def test_a_jog_ends_by_itself_and_a_renewal_is_the_same_motion(bench: DevicesUnderTest) -> None:
+    bench.connect()
+    bench.rest(0.1)
+    before = bench.arm.pose(0.1)
+    first = bench.arm.jog((0.0, 0.0, 10.0), 0.14)
+    bench.rest(0.1)
+    assert bench.arm.jog((0.0, 0.0, 10.0), 0.14) is first
+    assert bench.arm.status().robot_mode is RobotMode.MOVING
+    bench.rest(0.4)
+    assert first.done
+    first.result()
+    assert bench.arm.status().robot_mode is RobotMode.READY
+    gone = bench.arm.pose(0.1).z_mm - before.z_mm
+    assert gone == pytest.approx(0.24 * 10.0, abs=0.2)
+
+
+def test_a_jog_turns_without_an_end_and_stop_ends_it(bench: DevicesUnderTest) -> None:
+    bench.connect()
+    bench.rest(0.1)
+    before = bench.arm.pose(0.1)
+    motion = bench.arm.jog((20.0, 0.0, 0.0), 0.14)
+    bench.rest(0.1)
+    assert bench.arm.jog((0.0, 20.0, 0.0), 0.14) is motion
+    bench.rest(0.1)
+    bench.arm.stop()
+    bench.rest(0.02)
+    after = bench.arm.pose(0.1)
+    assert motion.done
+    assert after.x_mm - before.x_mm > 1.0
+    assert after.y_mm - before.y_mm > 0.5
+    bench.rest(0.2)
+    assert bench.arm.pose(0.1) == after
+
+
+@pytest.mark.parametrize("velocity", [(float("nan"), 0.0, 0.0), (float("inf"), 0.0, 0.0)])
+def test_a_jog_without_a_number_is_refused(
+    bench: DevicesUnderTest, velocity: tuple[float, float, float]
+) -> None:
+    bench.connect()
+    with pytest.raises(ValueError, match="finite"):
+        bench.arm.jog(velocity, 0.1)
+    assert bench.arm.rotates in (True, False)

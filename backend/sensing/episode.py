@@ -150,8 +150,6 @@ def _digest(
     piece: str,
     recording: Recording,
 ) -> str:
-    content = hashlib.sha256(piece.encode())
-    content.update(np.float64(onset_s).tobytes())
-    for array in (observation, offset_mm, recording.wrench_t_s, recording.wrench):
-        content.update(np.ascontiguousarray(array).tobytes())
-    return content.hexdigest()[:32]
+    arrays = (np.float64(onset_s), observation, offset_mm, recording.wrench_t_s, recording.wrench)
+    content = (piece.encode(), *(np.ascontiguousarray(array).tobytes() for array in arrays))
+    return hashlib.sha256(b"".join(content)).hexdigest()[:32]

@@ -49,11 +49,21 @@ def _finger_slip_mm(recording: Recording, finger: Finger, onset_s: float, end_s:
     fitted = (part >= FITTED_PART[0]) & (part <= FITTED_PART[1])
     if int(fitted.sum()) < LEAST_FRAMES:
         return math.nan
-    slope, start = np.polyfit(travel_mm[fitted], shear_px[fitted], 1)
+    slope, start = _line(travel_mm[fitted], shear_px[fitted])
     if not abs(slope) >= LEAST_SLOPE_PX_MM:
         return math.nan
     shortfall_mm = travel_mm - (shear_px - start) / slope
     return float(max(0.0, np.median(shortfall_mm[-LEAST_FRAMES:])))
+
+
+def _line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
+    """Return slope and start of the least-squares line through (x, y), both (n,); NaN if none."""
+    from_mean = x - x.mean()
+    spread = float(from_mean @ from_mean)
+    if not spread > 0:
+        return math.nan, math.nan
+    slope = float(from_mean @ y) / spread
+    return slope, float(y.mean() - slope * x.mean())
 
 
 def _travel_mm(recording: Recording, onset_s: float, t_s: FloatArray) -> FloatArray:

@@ -126,10 +126,13 @@ def wrench_on_ticks(
     expected = TICK_S / max(float(np.median(np.diff(t_s))), ROUNDING_S)
     first = np.searchsorted(t_s, tick_s - TICK_S + ROUNDING_S, side="right")
     last = np.searchsorted(t_s, tick_s + ROUNDING_S, side="right")
-    for tick, (start, end) in enumerate(zip(first, last, strict=True)):
-        block = wrench[start:end]
-        if len(block) >= least_share * expected and np.isfinite(block).all():
-            means[tick] = block.mean(axis=0)
+    # Sums from each first to its last sample; those in between are thrown away. The row of zeros
+    # is there because no start may lie behind the end.
+    padded = np.concatenate((wrench, np.zeros((1, WRENCH_CHANNELS))))
+    sums = np.add.reduceat(padded, np.stack((first, last), axis=1).ravel(), axis=0)[::2]
+    count = last - first
+    whole = (count > 0) & (count >= least_share * expected) & np.isfinite(sums).all(axis=1)
+    means[whole] = sums[whole] / count[whole, None]
     return means
 
 
@@ -183,7 +186,9 @@ def _around(
 def _nearest(frame_s: FloatArray, tick_s: FloatArray) -> FloatArray:
     if not len(frame_s):
         return np.full(len(tick_s), np.inf)
-    return np.asarray(np.abs(frame_s - tick_s[:, None]).min(axis=1), dtype=np.float64)
+    after = np.searchsorted(frame_s, tick_s)
+    neighbours = np.stack((np.maximum(after - 1, 0), np.minimum(after, len(frame_s) - 1)))
+    return np.asarray(np.abs(frame_s[neighbours] - tick_s).min(axis=0), dtype=np.float64)
 
 
 def _hole(frame_s: FloatArray, tick_s: FloatArray) -> float:

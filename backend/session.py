@@ -17,8 +17,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Protocol
 
+from backend.catalogue.dataset import Dataset
 from backend.config.method import StackSettings
-from backend.core.facts import FaultsReset
+from backend.core.facts import Decision, FaultsReset
 from backend.core.faults import RefusedError
 from backend.core.flow import FINGERS, Finger, MarkerField, TactileFrame
 from backend.core.hub import Hub
@@ -31,7 +32,7 @@ from backend.devices.supervision import Supervision
 from backend.objects.catalogue import Catalogue, Piece
 from backend.runs.bench import Bench
 from backend.runs.engine import Engine
-from backend.runs.gate import Gate
+from backend.runs.gate import Decisions, Gate
 from backend.runs.hand import Hand, Reach
 from backend.runs.host import RunHost
 from backend.runs.plan import Plan
@@ -90,6 +91,9 @@ class Session:
         self._make_stage, self._check, self.catalogue = make_stage, check, catalogue
         self._settings, self.simulated = settings, simulated
         self.hub, self.interlock, self.gate = Hub(), Interlock(), Gate()
+        self.decisions = Decisions()
+        self.dataset: Dataset | None = None
+        """Takes what is collected; set while no run goes on."""
         self.frames: Mapping[Finger, Stream[TactileFrame]] = {
             finger: Stream(f"tactile_{finger}", FRAME_CAPACITY) for finger in FINGERS
         }
@@ -167,6 +171,10 @@ class Session:
         """Approve or decline the action that waits."""
         self.gate.answer(yes)
 
+    def decide(self, decision: Decision) -> None:
+        """Keep, discard, redo, flag or skip the newest collected episode; never waits."""
+        self.decisions.give(decision)
+
     def prepare(self, choice: SceneChoice) -> None:
         """Set a scene without starting a run, so that a live view has something to show."""
         self._set_scene(choice)
@@ -234,6 +242,10 @@ class Session:
         host = RunHost(
             run_id=run_id,
             simulated=self.simulated,
+            mode=self._mode(),
+            dataset=self.dataset,
+            decisions=self.decisions,
+            piece=self.catalogue.piece,
             method=self._settings,
             check=self._check,
             open=lambda: self._recorder.open(run_id),
@@ -241,6 +253,11 @@ class Session:
             present=self._present,
         )
         return plan_of(request, host)
+
+    def _mode(self) -> str:
+        if not self.simulated:
+            return "lab"
+        return "stepped" if self._thread is None else "live simulation"
 
     def _present(self, method: StackSettings) -> Bench:
         if self._scene is None:

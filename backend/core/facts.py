@@ -161,6 +161,75 @@ class RunFinished(Fact):
 
 
 @dataclass(frozen=True, slots=True)
+class CampaignBegan(Fact):
+    """A campaign goes on to collect; ``done`` of ``total`` probes are there already.
+
+    ``dataset``: its folder. ``series``: what is recorded until the run ends or the bottom is fitted
+    anew.
+    """
+
+    campaign: str
+    series: str
+    dataset: str
+    done: int
+    total: int
+
+
+@dataclass(frozen=True, slots=True)
+class Gripped(Fact):
+    """The piece was taken: gripping ``grip`` (1, 2, ...) of mounting ``mounting``, and its mass."""
+
+    grip: int
+    mounting: int
+    mass_g: float
+
+
+Decision = Literal["keep", "discard", "redo", "flag", "skip"]
+
+
+@dataclass(frozen=True, slots=True)
+class DecisionAwaited(Fact):
+    """The campaign waits whether to keep the episode that was just recorded; nothing moves."""
+
+    uuid: str
+    item: int
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeCollected(Fact):
+    """A probe of a campaign is durable in the dataset, together with its label.
+
+    ``item`` of the plan; ``done`` of ``total`` after it. ``commanded_mm`` and ``measured_mm``
+    displacement, and the standard uncertainty ``sigma_mm`` of the measured one. ``signals`` (5,) at
+    the last tick, for the distribution: largest marker shift u and v in px, Tx and Ty in N·m, Fz
+    in N. ``reasons``: why it is no observation ("" if it is one).
+    """
+
+    uuid: str
+    item: int
+    probe: int
+    done: int
+    total: int
+    commanded_mm: tuple[float, float]
+    measured_mm: tuple[float, float]
+    sigma_mm: float
+    signals: tuple[float, float, float, float, float]
+    slip_mm: float
+    drift_mm: float
+    reasons: str
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeDecided(Fact):
+    """What was decided about a recorded episode, and by whom."""
+
+    uuid: str
+    item: int
+    decision: Decision
+    person: str
+
+
+@dataclass(frozen=True, slots=True)
 class FaultRaised(Fact):
     """A fault was latched."""
 

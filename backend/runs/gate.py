@@ -4,6 +4,32 @@ from __future__ import annotations
 
 import threading
 
+from backend.core.facts import Decision
+
+
+class Decisions:
+    """Holds the latest decision about the latest episode, whether it was asked for or not."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._decision: Decision | None = None
+
+    @property
+    def given(self) -> bool:
+        """Whether a decision waits to be carried out."""
+        return self._decision is not None
+
+    def give(self, decision: Decision) -> None:
+        """Decide; a later word replaces an earlier one that was not carried out yet."""
+        with self._lock:
+            self._decision = decision
+
+    def take(self) -> Decision | None:
+        """Return the decision, if there is one, and forget it."""
+        with self._lock:
+            decision, self._decision = self._decision, None
+            return decision
+
 
 class Gate:
     """Holds one answer. The plan asks and looks; the operator answers from any thread."""

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from backend.runs.collect import collect_run
 from backend.runs.host import RunHost
 from backend.runs.plan import Plan
-from backend.runs.requests import ProbeRequest, Request
+from backend.runs.requests import CollectRequest, ProbeRequest, Request
 from backend.runs.single_probe import probe_run
 from backend.runs.trials import stack_run
 
 
 def plan_of(request: Request, host: RunHost) -> Plan[None]:
     """Return the plan of ``request``; nothing happens until it is driven."""
+    if isinstance(request, CollectRequest):
+        return collect_run(host, request)
     if isinstance(request, ProbeRequest):
         return probe_run(host, request)
     return stack_run(host, request)

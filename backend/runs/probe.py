@@ -7,6 +7,7 @@ import numpy as np
 from backend.config.method import EARLY_TICKS, SAMPLES_PER_PROBE, TICK_S
 from backend.core.facts import PhaseEntered, Said
 from backend.core.faults import Fault, FaultError
+from backend.core.flow import FloatArray
 from backend.devices.protocols import PressCommand
 from backend.runs import words
 from backend.runs.bench import Bench
@@ -38,8 +39,11 @@ def press_command(bench: Bench) -> PressCommand:
     )
 
 
-def press_once(bench: Bench, probe: int) -> Plan[Felt]:
-    """Press and stay pressed; return what was felt, accepted or not."""
+def press_once(bench: Bench, probe: int, offset_mm: FloatArray | None = None) -> Plan[Felt]:
+    """Press and stay pressed; return what was felt, accepted or not.
+
+    ``offset_mm`` (2,): commanded displacement (None: where the arm is, in its own frame).
+    """
     yield from zero_sensors(bench, probe)
     yield PhaseEntered(bench.now_s(), "approach", probe)
     here = bench.arm.pose(max_age_s=0.2)
@@ -71,7 +75,7 @@ def press_once(bench: Bench, probe: int) -> Plan[Felt]:
     episode = assemble(
         bench.sensing.recording(onset_s - BEFORE_ONSET_S, end_s),
         onset_s=onset_s,
-        offset_mm=np.array([here.x_mm, here.y_mm]),
+        offset_mm=np.array([here.x_mm, here.y_mm]) if offset_mm is None else offset_mm,
         piece=bench.piece.name,
     )
     return Felt(episode, probe, end_s, sampled_s)

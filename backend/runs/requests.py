@@ -61,7 +61,37 @@ class ProbeRequest:
     """Probe once at the present place of the present scene; an empty gripper grips first."""
 
 
-Request = StackRequest | ProbeRequest
+@dataclass(frozen=True, slots=True)
+class CollectRequest:
+    """Collect ``count`` labelled probes of ``piece`` on ``bottom`` into the session's dataset.
+
+    ``within_mm`` limits displacements along x and y. ``origin_mm``: where the centre of the bottom
+    is for the arm, with its standard uncertainty (None: that of the settings). ``campaign`` goes on
+    with a former one, whose plan then holds instead. With ``ask`` the run waits for a decision
+    after every probe. ``check_origin``: probe at known displacements after every mounting.
+    """
+
+    piece: str = "pot"
+    bottom: str = "circle15"
+    count: int = 20
+    seed: int = 0
+    pattern: Literal["random", "grid", "adaptive"] = "random"
+    person: str = ""
+    within_mm: float | None = None
+    origin_mm: tuple[float, float] = (0.0, 0.0)
+    origin_sigma_mm: float | None = None
+    check_origin: bool = False
+    campaign: str = ""
+    ask: bool = False
+
+    def scene(self, mounting: int = 0) -> SceneChoice:
+        """Return the scene of a mounting: the piece in its jig, no model."""
+        return SceneChoice(
+            self.piece, (self.bottom,), self.seed, estimates=False, jig=True, mounting=mounting
+        )
+
+
+Request = StackRequest | ProbeRequest | CollectRequest
 """Everything that a session can run; ``backend.runs.plans`` knows the plan of each."""
 
 

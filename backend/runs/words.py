@@ -37,6 +37,19 @@ def release(stands: bool, margin_mm: float) -> str:
     return f"The piece fell: its centre of mass was {-margin_mm:.1f} mm outside its support."
 
 
+DECIDED = {
+    "discard": "discarded while collecting",
+    "redo": "probed again",
+    "skip": "left out of the campaign",
+}
+"""Why an episode was deleted, by the decision."""
+
+
+def regrip(why: str) -> str:
+    """Say why the piece goes back into its jig before its time."""
+    return f"The piece is gripped anew: {why}."
+
+
 def rejected(probe: int, reasons: tuple[str, ...]) -> str:
     """Say why a probe is no observation."""
     return f"Probe {probe} is not an observation: {'; '.join(reasons)}."

@@ -98,6 +98,10 @@ class LiveSensing:
             self._trackers[finger].set_reference(reference)
         return taken
 
+    def forget_references(self) -> None:
+        """Forget the shape in air: the piece is gripped anew."""
+        self._in_air = {}
+
     def recording(self, start_s: float, end_s: float) -> Recording:
         """Return the native-rate signals between two bench times."""
         wrench = self.wrench.window(start_s, end_s)

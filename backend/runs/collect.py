@@ -1,0 +1,149 @@
+"""A run that collects: mounting after mounting until the plan of the campaign is done."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.diskspace import room_for
+from backend.catalogue.uuid7 import uuid7
+from backend.catalogue.values import EpisodeContext, EpisodeEntry, EpisodeFilter
+from backend.core.facts import CampaignBegan, RunFinished, RunStarted
+from backend.core.faults import InputError, RefusedError
+from backend.dataset.coverage import Coverage, coverage
+from backend.runs.bench import Bench
+from backend.runs.campaign import Campaign, new_campaign, read_campaign
+from backend.runs.collect_plan import Target, planned_mm
+from backend.runs.collected import EpisodeRecorder, Origin
+from backend.runs.collecting import Collector
+from backend.runs.host import RunHost
+from backend.runs.orderly import orderly
+from backend.runs.plan import Plan
+from backend.runs.record import record_of
+from backend.runs.requests import CollectRequest
+
+
+def collect_run(host: RunHost, request: CollectRequest) -> Plan[None]:
+    """Collect what the plan still lacks; every episode is durable before the next press."""
+    dataset = _dataset(host, request)
+    campaign = _begun(dataset, request)
+    request = replace(
+        request, piece=campaign.piece, bottom=campaign.bottom, count=campaign.count,
+        pattern=campaign.pattern, seed=campaign.seed, within_mm=campaign.within_mm,
+        campaign=campaign.uuid,
+    )  # fmt: skip
+    settings = record_of(request, host.method, host.check(request.scene()))
+    entries = dataset.episodes(EpisodeFilter(campaign=campaign.uuid))
+    room_for(dataset.folder, len(campaign.todo(entries)))
+    host.open()
+    yield RunStarted(
+        0.0, host.run_id, request.piece, request.bottom, request.pattern, request.seed, 1,
+        host.simulated, settings, activity="collect",
+    )  # fmt: skip
+    recorder = EpisodeRecorder(dataset)
+    try:
+        yield from _mountings(host, request, campaign, entries, recorder)
+    finally:
+        recorder.close()
+
+
+def _mountings(
+    host: RunHost,
+    request: CollectRequest,
+    campaign: Campaign,
+    entries: list[EpisodeEntry],
+    recorder: EpisodeRecorder,
+) -> Plan[None]:
+    collector: Collector | None = None
+    while True:
+        bench = host.set_scene(request.scene(campaign.mountings), host.method)
+        target = Target(bench.piece.face, bench.outline, request.within_mm)
+        if collector is None:
+            seen = _seen(recorder.dataset, entries, target)
+            planned_mm(campaign.pattern, target, campaign.seed, 0, campaign.count, seen)
+            collector = Collector(campaign, recorder, host.decisions, seen, entries)
+            collector.ask = request.ask
+        campaign = collector.campaign = collector.campaign.with_mounting()
+        campaign.save(recorder.dataset.folder)
+        origin = _origin(bench, request)
+        context = _context(host, request, bench, origin, campaign, recorder.dataset)
+        yield CampaignBegan(
+            bench.now_s(), campaign.uuid, context.series, str(recorder.dataset.folder),
+            collector.done, campaign.count,
+        )  # fmt: skip
+        ended = yield from orderly(bench, collector.mounting(bench, target, origin, context))
+        yield from collector.settle(bench)
+        campaign = collector.campaign
+        campaign.save(recorder.dataset.folder)
+        if ended.value is None or not collector.todo:
+            break
+    ending = ended.run_ending or ("finished" if ended.value else "failed")
+    reason = ended.reason or _summary(collector)
+    yield RunFinished(bench.now_s(), host.run_id, ending, reason)
+
+
+def _summary(collector: Collector) -> str:
+    left_out = len(collector.campaign.skipped)
+    text = f"{collector.done} of {collector.campaign.count} probes are collected"
+    return f"{text}, {left_out} left out." if left_out else f"{text}."
+
+
+def _dataset(host: RunHost, request: CollectRequest) -> Dataset:
+    if host.dataset is None:
+        raise RefusedError("NO-DATASET", "No dataset is open to collect into.")
+    if not host.dataset.writable:
+        raise RefusedError("READ-ONLY", "The dataset is open for reading only.")
+    if not request.person.strip():
+        raise InputError("Nobody is named.", "--person", "Say who collects.")
+    return host.dataset
+
+
+def _begun(dataset: Dataset, request: CollectRequest) -> Campaign:
+    if request.campaign:
+        return read_campaign(dataset.folder, request.campaign)
+    return new_campaign(
+        request.piece, request.bottom, request.pattern, request.seed, request.count,
+        request.within_mm,
+    )  # fmt: skip
+
+
+def _origin(bench: Bench, request: CollectRequest) -> Origin:
+    sigma_mm = request.origin_sigma_mm
+    if sigma_mm is None:
+        sigma_mm = bench.settings.collect.origin_sigma_mm
+    return Origin(*request.origin_mm, sigma_mm)
+
+
+def _seen(dataset: Dataset, entries: list[EpisodeEntry], target: Target) -> Coverage:
+    """Return the coverage of what the campaign has already."""
+    kept = [e for e in entries if e.quality.accepted and not e.deleted]
+    offsets = [dataset.labels.head(entry.uuid).label.offset_mm for entry in kept]
+    return coverage(np.array(offsets).reshape(-1, 2), target.face, target.bottom)
+
+
+def _context(
+    host: RunHost,
+    request: CollectRequest,
+    bench: Bench,
+    origin: Origin,
+    campaign: Campaign,
+    dataset: Dataset,
+) -> EpisodeContext:
+    """Return what holds for all episodes of one mounting: a series of its own."""
+    bottom = host.piece(request.bottom)
+    calibration = {"origin_mm": [origin.x_mm, origin.y_mm], "origin_sigma_mm": origin.sigma_mm}
+    return EpisodeContext(
+        series=uuid7(),
+        bottom=request.bottom,
+        geometry=dataset.geometry.store_pair(bench.piece, bottom),
+        person=request.person,
+        grip_id="",
+        mounting_id=f"{campaign.uuid}/mounting-{campaign.mountings}",
+        campaign=campaign.uuid,
+        mode=host.mode,
+        seed=request.seed,
+        bench={"run": host.run_id, "origin": json.dumps(calibration)},
+    )

@@ -1,0 +1,128 @@
+"""Take the piece from its jig, weigh it, and put it back."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from backend.core.facts import PhaseEntered, Said
+from backend.core.faults import Fault, FaultError, RefusedError
+from backend.core.flow import Pose
+from backend.devices.putting_back import JigEvidence
+from backend.runs.bench import Bench
+from backend.runs.motions import MOVE_S, rest, take_piece
+from backend.runs.plan import Plan, motion_done
+from backend.sensing.tare import STANDARD_GRAVITY_M_S2
+
+WEIGH_S = 0.5
+"""Time over which the wrench is averaged; the mean of 500 samples errs by 5 mN."""
+SETTLE_S = 0.3
+
+
+def pick(bench: Bench) -> Plan[float]:
+    """Take the piece from the jig and raise it; returns its mass in g.
+
+    Raises ``RefusedError`` if something is held already, ``FaultError`` "WRONG-WEIGHT" if what is
+    held is not the piece (masses that are nominal are only told).
+    """
+    jig = _jig(bench)
+    if bench.gripper.status().holding:
+        raise RefusedError("HOLDING", "A piece is held already: put it back into its jig first.")
+    yield PhaseEntered(bench.now_s(), "shift", 0)
+    yield from rest(bench, SETTLE_S)
+    yield from _go(bench, jig)
+    yield from rest(bench, SETTLE_S + WEIGH_S)
+    empty_n = _vertical_n(bench)
+    bench.sensing.forget_references()
+    yield from take_piece(bench)
+    yield from _go(bench, _above(bench, jig))
+    yield from rest(bench, SETTLE_S + WEIGH_S)
+    weight_n = empty_n - _vertical_n(bench)
+    yield from _weighed(bench, weight_n)
+    return 1e3 * weight_n / STANDARD_GRAVITY_M_S2
+
+
+def put_back(bench: Bench) -> Plan[None]:
+    """Carry the piece back and let it go in the jig; refused where it does not sit freely."""
+    jig = _jig(bench)
+    yield PhaseEntered(bench.now_s(), "shift", 0)
+    here = bench.arm.pose(max_age_s=0.2)
+    high = _above(bench, jig)
+    yield from _go(bench, Pose(here.x_mm, here.y_mm, high.z_mm))
+    yield from _go(bench, high)
+    yield from _go(bench, jig)
+    yield from rest(bench, SETTLE_S)
+    yield PhaseEntered(bench.now_s(), "release", 0)
+    width_mm = bench.gripper.status().width_mm + bench.settings.collect.open_mm
+    opening = bench.gripper.put_back(
+        _evidence(bench, jig), width_mm, bench.settings.release.open_mm_s
+    )
+    yield from motion_done(opening, MOVE_S, "the gripper to open")
+    yield from rest(bench, SETTLE_S)
+
+
+def approach(bench: Bench, place: Pose) -> Plan[None]:
+    """Carry the held piece over ``place``: up, across, and down to it."""
+    high_mm = _above(bench, _jig(bench)).z_mm
+    here = bench.arm.pose(max_age_s=0.2)
+    yield from _go(bench, Pose(here.x_mm, here.y_mm, max(here.z_mm, high_mm)))
+    yield from _go(bench, Pose(place.x_mm, place.y_mm, high_mm))
+    yield from _go(bench, place)
+
+
+def _weighed(bench: Bench, weight_n: float) -> Plan[None]:
+    """Compare the weight with the file of the piece."""
+    piece = bench.piece
+    expected_n = 1e-3 * piece.mass_g * STANDARD_GRAVITY_M_S2
+    if abs(weight_n - expected_n) <= bench.settings.collect.weight_tolerance_n:
+        return
+    grams = 1e3 * weight_n / STANDARD_GRAVITY_M_S2
+    what = f"What is held weighs {grams:.0f} g; {piece.name} has {piece.mass_g:.0f} g"
+    if piece.nominal and weight_n > 0:
+        yield Said(bench.now_s(), f"{what} by its file, which is nominal.")
+        return
+    raise FaultError(
+        Fault(
+            "WRONG-WEIGHT",
+            f"{what}.",
+            "Nothing was probed; the piece stays in the gripper.",
+            "Check which piece is in the jig and that it hangs freely, then press Reset.",
+            "force_torque",
+        )
+    )
+
+
+def _vertical_n(bench: Bench) -> float:
+    """Return the mean vertical force of the last ``WEIGH_S``, untared."""
+    now_s = bench.now_s()
+    window = bench.sensing.raw.samples.window(now_s - WEIGH_S, now_s)
+    return float(np.mean(window.values[:, 2])) if len(window.t_s) else math.nan
+
+
+def _evidence(bench: Bench, jig: Pose) -> JigEvidence:
+    now_s = bench.now_s()
+    poses = bench.arm.poses.window(now_s - 0.2, now_s).values
+    wrench = bench.sensing.wrench.window(now_s - 0.1, now_s).values
+    target = np.array([jig.x_mm, jig.y_mm, jig.z_mm])
+    return JigEvidence(
+        from_jig_mm=float(np.abs(poses[-1] - target).max()) if len(poses) else math.nan,
+        moved_mm=float(np.ptp(poses, axis=0).max()) if len(poses) else math.nan,
+        force_n=float(np.abs(wrench[:, :3].mean(axis=0)).max()) if len(wrench) else math.nan,
+        holding=bench.gripper.status().holding,
+    )
+
+
+def _jig(bench: Bench) -> Pose:
+    if bench.jig is None:
+        raise RefusedError("NO-JIG", "This bench has no taught place of a jig.")
+    return bench.jig
+
+
+def _above(bench: Bench, jig: Pose) -> Pose:
+    return Pose(jig.x_mm, jig.y_mm, jig.z_mm + bench.settings.collect.clearance_mm)
+
+
+def _go(bench: Bench, place: Pose) -> Plan[None]:
+    motion = bench.arm.move_to(place, bench.settings.probe.travel_mm_s)
+    yield from motion_done(motion, MOVE_S, "the arm to arrive")

@@ -139,6 +139,12 @@ class Trainer:
         return {name: tensor.clone() for name, tensor in self.model.state_dict().items()}
 
 
+def one_thread() -> None:
+    """Let this process train and predict on one thread, the same on every machine."""
+    torch.set_num_threads(1)
+    torch.use_deterministic_algorithms(True)
+
+
 def bce(logits: Tensor, targets: Tensor) -> Tensor:
     """Mean binary cross-entropy over samples and points, from logits (B, N)."""
     return binary_cross_entropy_with_logits(logits, targets)

@@ -8,12 +8,13 @@ from pathlib import Path
 
 from backend.config.simulation import load_simulation
 from backend.core.faults import InputError
+from backend.experiments.collection import jobs_of
 from backend.objects.catalogue import Piece, load_catalogue
 from backend.objects.shapes import Outline
 from backend.objects.surface import face_points
 from backend.simulation.episodes import Plan
 from backend.verbs.screen import Screen
-from backend.verbs.simulate_work import jobs_of, run_jobs
+from backend.verbs.simulate_work import run_jobs
 
 NAME = "simulate"
 HELP = "write labelled episodes of the simulated bench"

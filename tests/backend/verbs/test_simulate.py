@@ -10,9 +10,9 @@ import pytest
 from backend.__main__ import main
 from backend.dataset.pack_file import read_pack_metadata
 from backend.dataset.rows import find_packs, load_rows
+from backend.experiments import collection
 from backend.objects.catalogue import load_catalogue
 from backend.objects.surface import face_points, true_patch
-from backend.verbs import simulate_work
 
 SMALL = ["simulate", "--piece", "pot", "--bottoms", "circle15,square15", "--episodes", "6"]
 SMALL += ["--probes-per-grip", "3", "--grips-per-mounting", "2", "--seed", "4", "--json"]
@@ -75,7 +75,7 @@ def test_jobs_cover_every_grip_once() -> None:
 
     for probes_per_grip in (1, 7, 50):
         made = plan(episodes=1234, probes_per_grip=probes_per_grip)
-        jobs = simulate_work.jobs_of(made, {}, None)
+        jobs = collection.jobs_of(made, {}, None)
         grips = [grip for job in jobs for grip in job.grips]
         assert grips == list(range(made.grips))
         assert sum(job.episodes for job in jobs) == 1234

@@ -1,0 +1,221 @@
+"""The kinds of jobs that the experiments consist of; each a pure function of its spec."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from backend.config.load import parse
+from backend.config.method import StackSettings, TrainingSettings
+from backend.config.simulation import SimulationSettings
+from backend.core.faults import InputError
+from backend.dataset.pack_file import write_packs
+from backend.dataset.rows import TrainingRows, join_rows, load_rows
+from backend.experiments.closed_loop import (
+    TrialEnd,
+    pick_and_place_in_lockstep,
+    stack_in_lockstep,
+)
+from backend.experiments.collection import jobs_of, metadata_of, rows_of
+from backend.experiments.film import film_strip
+from backend.experiments.models import batch_model
+from backend.experiments.scenes import Case, start_scene
+from backend.experiments.scoring import fused_verdicts, patch_scores
+from backend.experiments.statics import Groups, join_groups, probe_groups
+from backend.jobs.running import Kinds, Workplace
+from backend.jobs.spec import JobSpec
+from backend.jobs.store import JobStore
+from backend.learning.checkpoint import Checkpoint, load_card, load_checkpoint, save_checkpoint
+from backend.learning.fitting import card_of
+from backend.learning.metrics import LEVEL, stable_flags
+from backend.learning.training import Trainer, fingerprint, one_thread
+from backend.objects.catalogue import load_catalogue
+from backend.objects.surface import face_points
+from backend.sensing.episode import EpisodeLimits
+from backend.simulation.episodes import Plan
+from backend.simulation.episodes import simulate as simulated
+from backend.simulation.scene import Scene
+
+WEIGHTS = "model.safetensors"
+FILM = "film.html"
+SLIPPED_MM = 0.02
+"""A pad that moved by more than this in one press has slipped."""
+GROUPS_AT_ONCE = 50
+FILMS = 2
+"""Courses of trials that a stacking cell leaves as pictures."""
+
+
+def simulate(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
+    """Collect labelled probes of one piece over one outline, as packs in the job's folder."""
+    p, catalogue = spec.params, load_catalogue()
+    piece, bottom = catalogue.top(p["piece"]), catalogue.bottom(p["bottom"])
+    settings = _bench(p)
+    assert piece.grip_height_mm is not None
+    plan = Plan(
+        piece=piece.name,
+        bottom=bottom.name,
+        face=piece.face,
+        bottom_outline=bottom.upper or bottom.face,
+        face_points_mm=face_points(piece.face, settings.face.lattice_mm),
+        grip_height_mm=piece.grip_height_mm,
+        width_mm=piece.width_mm,
+        episodes=p["episodes"],
+        seed=spec.seed,
+        probes_per_grip=p["probes_per_grip"],
+        grips_per_mounting=p["grips_per_mounting"],
+        settings=settings,
+    )
+    rejected, slipped, contact = 0, 0, 0.0
+    for job in jobs_of(plan, {"geometry": piece.sha256}, place.folder):
+        batches = list(simulated(plan, job.grips))
+        write_packs(job.folder, job.stem, rows_of(job, batches), metadata_of(job))
+        rejected += sum(batch.rejected for batch in batches)
+        slipped += sum(int((batch.slip_mm > SLIPPED_MM).sum()) for batch in batches)
+        contact += sum(float(batch.patch.mean(axis=1).sum()) for batch in batches)
+    n = plan.episodes
+    return {
+        "episodes": n,
+        "rejected": rejected,
+        "slipped": slipped / n,
+        "base_rate": contact / n,
+    }
+
+
+def train(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
+    """Train one model on the probes of the input jobs."""
+    one_thread()
+    settings = parse(TrainingSettings, spec.params["training"], "job")
+    rows = join_rows([load_rows(place.store.folder(i)) for i in sorted(spec.inputs)])
+    head = spec.params["head"]
+    if head == "stability":
+        rows = stability_rows(rows)
+    data = fingerprint(rows)
+    trainer = Trainer(rows, settings)
+    losses = [(report.train_loss, report.validation_loss) for report in trainer.epochs()]
+    card = card_of(rows, trainer, data).model_copy(update={"answers": head})
+    card = save_checkpoint(place.folder / WEIGHTS, trainer.best_model().arrays(), card)
+    return {
+        "weights_sha256": card.weights_sha256,
+        "data_sha256": data,
+        "episodes": len(rows),
+        "losses": [[round(a, 5), round(b, 5)] for a, b in losses],
+    }
+
+
+def stability_rows(rows: TrainingRows) -> TrainingRows:
+    """Return the rows with one target each: whether the centre of mass is over the true patch.
+
+    Trained on them the same network is the paper's *Implicit* baseline.
+    """
+    piece = load_catalogue().top(rows.piece)
+    points = face_points(piece.face) - np.asarray(piece.com_xy_mm)
+    return replace(rows, patch=stable_flags(rows.patch, points)[:, None])
+
+
+def static(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
+    """Press groups of probes over one bottom and score every model on the same probes."""
+    p, catalogue = spec.params, load_catalogue()
+    case = Case.of(catalogue, p["piece"], (p["bottom"],), _bench(p))
+    one_thread()
+    seeds = [spec.seed + g for g in range(p["groups"])]
+    chunks = [seeds[k : k + GROUPS_AT_ONCE] for k in range(0, len(seeds), GROUPS_AT_ONCE)]
+    groups = join_groups([probe_groups(case, chunk, p["probes"]) for chunk in chunks])
+    models = {
+        name: _scores(load_model(source, place.store), case, groups)
+        for name, source in sorted(p["models"].items())
+    }
+    return {
+        "margin_mm": [[_finite(m) for m in pair] for pair in groups.margin_mm],
+        "slipped": float((groups.slip_mm > SLIPPED_MM).mean()),
+        "rejected": groups.rejected,
+        "models": models,
+    }
+
+
+def _scores(checkpoint: Checkpoint, case: Case, groups: Groups) -> dict[str, Any]:
+    model = batch_model(checkpoint, case.piece)
+    g, p = groups.observation.shape[:2]
+    flat = groups.observation.reshape(g * p, *groups.observation.shape[2:])
+    probability = model.predict(flat).reshape(g, p, -1)
+    about = {"weights_sha256": checkpoint.card.weights_sha256}
+    if checkpoint.card.answers == "stability":
+        return {**about, "says": {"1": [bool(v) for v in probability[:, 0, 0] > LEVEL]}}
+    return {
+        **about,
+        "patch": patch_scores(probability, groups),
+        **fused_verdicts(probability, groups, model, case),
+    }
+
+
+def stack(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
+    """Run the trials of one cell; every trial counts, whatever its outcome."""
+    p, catalogue = spec.params, load_catalogue()
+    case = Case.of(catalogue, p["piece"], tuple(p["bottoms"]), _bench(p))
+    one_thread()
+    scenes: list[Scene] = []
+    left_out, seed = 0, spec.seed
+    while len(scenes) < p["trials"]:
+        scene = start_scene(case, seed)
+        seed += 1
+        if scene is None:
+            left_out += 1
+        else:
+            scenes.append(scene)
+    settings, limits = StackSettings(), EpisodeLimits()
+    answer: dict[str, Any] = {"left_out": left_out}
+    if p["strategy"] == "pick-and-place":
+        ends = pick_and_place_in_lockstep(scenes, settings, limits)
+    else:
+        (source,) = spec.inputs
+        checkpoint = load_model(source, place.store)
+        answer["weights_sha256"] = checkpoint.card.weights_sha256
+        ends = stack_in_lockstep(scenes, batch_model(checkpoint, case.piece), settings, limits)
+        outline = case.bottoms[-1].face.polygon()
+        films = [film_strip(end, outline) for end in ends[:FILMS]]
+        (place.folder / FILM).write_text("".join(films), encoding="utf-8")
+    return {**answer, "trials": [_trial(end) for end in ends]}
+
+
+def _trial(end: TrialEnd) -> dict[str, Any]:
+    margins = None if end.verdict is None else [_finite(m) for m in end.verdict.margins_mm]
+    return {
+        "seed": end.seed,
+        "outcome": end.outcome.value,
+        "reason": end.reason,
+        "probes": end.probes,
+        "margins_mm": margins,
+    }
+
+
+def load_model(source: str, store: JobStore) -> Checkpoint:
+    """Return the model that a job trained, or the shipped one with this hash of its weights."""
+    if store.has(source):
+        return load_checkpoint(store.folder(source) / WEIGHTS)
+    for path in sorted(shipped_models().glob("**/*.safetensors")):
+        if load_card(path).weights_sha256 == source:
+            return load_checkpoint(path)
+    raise InputError(
+        "There is no model of this name.", source, "Run the campaign from its beginning."
+    )
+
+
+def shipped_models() -> Path:
+    """Return the folder of the models that ship."""
+    return Path(str(files("resources"))) / "models"
+
+
+def _bench(params: Mapping[str, Any]) -> SimulationSettings:
+    return parse(SimulationSettings, params["bench"], "job")
+
+
+def _finite(value: float) -> float | None:
+    """Return a margin for JSON: None where nothing is beneath."""
+    return round(float(value), 4) if np.isfinite(value) else None
+
+
+KINDS: Kinds = {"simulate": simulate, "train": train, "static": static, "stack": stack}

@@ -1,0 +1,104 @@
+"""Probes at drawn displacements: what Tables 1 and 2 and the reliability of a model are made of.
+
+Every group is one gripping on one mounting of its own: its first probe at a displacement of a
+balanced sample, the further ones at random. Groups are independent of each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.core.flow import FloatArray
+from backend.experiments.scenes import Case, balanced_offset, probing_scene, uniform_offset
+from backend.objects.surface import face_points
+from backend.objects.tower import judge
+from backend.sensing.episode import EpisodeLimits
+from backend.simulation.lockstep import Lockstep
+from backend.simulation.scoring import stacked
+
+ATTEMPTS = 30
+
+
+@dataclass(frozen=True, slots=True)
+class Groups:
+    """g groups of p probes.
+
+    ``observation`` (g, p, 20, 258); ``offset_mm`` (g, p, 2) commanded, ``true_mm`` (g, p, 2);
+    ``label`` (g, p, N): patch at the commanded displacement, as data is labelled; ``truth``
+    (g, p, N): the real one; ``slip_mm`` (g, p). ``margin_mm`` (g, 2): signed margin of the first
+    probe's place, top interface alone and all interfaces. ``rejected``: probes drawn again.
+    """
+
+    observation: NDArray[np.float32]
+    offset_mm: FloatArray
+    true_mm: FloatArray
+    label: NDArray[np.bool_]
+    truth: NDArray[np.bool_]
+    slip_mm: FloatArray
+    margin_mm: FloatArray
+    rejected: int
+
+
+def probe_groups(case: Case, seeds: list[int], probes: int) -> Groups:
+    """Press ``probes`` times in each of the grippings named by ``seeds``.
+
+    Half of the groups begin at a stable place. A press that is no observation is drawn again.
+    """
+    scenes = [probing_scene(case, seed) for seed in seeds]
+    bench, limits = Lockstep(scenes), EpisodeLimits()
+    points = face_points(case.piece.face)
+    shape = (len(seeds), probes)
+    offset, true = np.zeros((*shape, 2)), np.zeros((*shape, 2))
+    seen = np.zeros((*shape, 20, 258), np.float32)
+    slip = np.zeros(shape)
+    rejected = 0
+    for probe in range(probes):
+        waiting = list(range(len(seeds)))
+        for attempt in range(ATTEMPTS):
+            wanted = np.stack([_offset(case, seeds[g], g, probe, attempt) for g in waiting])
+            felt = bench.press(waiting, wanted)
+            good = (
+                felt.valid & (felt.press_n >= limits.contact_n) & (felt.slip_mm <= limits.slip_mm)
+            )
+            rows = np.array(waiting)[good]
+            offset[rows, probe], true[rows, probe] = wanted[good], felt.true_mm[good]
+            seen[rows, probe], slip[rows, probe] = felt.observation[good], felt.slip_mm[good]
+            rejected += int((~good).sum())
+            waiting = [g for g, ok in zip(waiting, good, strict=True) if not ok]
+            if not waiting:
+                break
+        else:
+            raise RuntimeError(f"{len(waiting)} probes were no observations {ATTEMPTS} times")
+    outline = case.bottoms[0].face
+    yaw = [gripping.yaw_rad for gripping in bench.grippings]
+    verdicts = [
+        judge(stacked(scene, (float(x), float(y)), turn))
+        for scene, (x, y), turn in zip(scenes, true[:, 0], yaw, strict=True)
+    ]
+    return Groups(
+        seen,
+        offset,
+        true,
+        outline.contains(points + offset[:, :, None]),
+        outline.contains(points + true[:, :, None]),
+        slip,
+        np.array([[v.margins_mm[-1], v.margin_mm] for v in verdicts]),
+        rejected,
+    )
+
+
+def join_groups(parts: Sequence[Groups]) -> Groups:
+    """Return all groups in order."""
+    names = [f.name for f in fields(Groups) if f.name != "rejected"]
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return Groups(**joined, rejected=sum(part.rejected for part in parts))
+
+
+def _offset(case: Case, seed: int, group: int, probe: int, attempt: int) -> FloatArray:
+    if probe == 0:
+        return balanced_offset(case, seed, attempt, stable=group % 2 == 0)
+    return uniform_offset(case, seed, probe, attempt)

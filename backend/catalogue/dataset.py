@@ -5,18 +5,23 @@ from __future__ import annotations
 import json
 import socket
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Self
 
 from backend.catalogue import episodes, recording
+from backend.catalogue.backups import Backups
 from backend.catalogue.database import NAME as CATALOGUE
 from backend.catalogue.database import Database
+from backend.catalogue.findings import Store, sentences
 from backend.catalogue.geometry import GeometryStore, TruePatch
 from backend.catalogue.journal import Journal
 from backend.catalogue.labels import LabelBook
 from backend.catalogue.local_disk import refuse_network
+from backend.catalogue.recovery import reconcile
 from backend.catalogue.schema import SCHEMA_VERSION
 from backend.catalogue.uuid7 import uuid7
 from backend.catalogue.values import (
@@ -28,7 +33,7 @@ from backend.catalogue.values import (
     Source,
 )
 from backend.catalogue.writer_lock import WriterLock
-from backend.core.faults import InputError
+from backend.core.faults import FaultError, InputError
 from backend.core.files import write_atomically
 from backend.core.flow import Episode
 from backend.dataset.episode_reading import read_episode
@@ -55,7 +60,8 @@ class Description:
 class Dataset:
     """Episodes, labels and geometry of one folder. Every call may come from any thread.
 
-    ``notices``: what opening found, a sentence each. Use it as a context, or ``close`` it.
+    ``notices``: what opening found, a sentence each. ``backup_trouble``: why the newest copy of
+    the catalogue failed, or "". Use it as a context, or ``close`` it.
     """
 
     def __init__(
@@ -71,6 +77,9 @@ class Dataset:
         self.geometry = GeometryStore(folder / "geometry")
         self.journal = Journal(folder / "labels")
         self.labels = LabelBook(database, self.journal, description.site)
+        self.backups = Backups(database, folder / "backup")
+        self.backup_trouble = ""
+        self.labels.after_commit = partial(self._back_up, self.backups.hourly)
 
     @classmethod
     def open(
@@ -98,16 +107,38 @@ class Dataset:
                 lock.release()
             raise
         dataset = cls(folder, description, database, lock)
-        dataset._reconcile()
+        try:
+            dataset._reconcile()
+        except BaseException:
+            dataset.close()
+            raise
         return dataset
 
     def _reconcile(self) -> None:
-        notices = []
-        if self._lock is not None and not self.database.writable:
-            notices.append(
-                "The catalogue was written by a newer version of Touchdown: open for reading only."
+        if self.writable:
+            found = reconcile(self.store)
+            self.labels.frozen = " ".join(finding.said for finding in found if finding.locks)
+            self.notices = sentences(found)
+        elif self._lock is not None:
+            self.notices = (
+                "The catalogue was written by a newer version of Touchdown: open for reading only.",
             )
-        self.notices = tuple(notices)
+
+    @property
+    def store(self) -> Store:
+        """The parts that checks and repairs work on."""
+        site = self.description.site
+        return Store(self.folder, self.database, self.journal, self.geometry, site)
+
+    def _back_up(self, make: Callable[[], object]) -> None:
+        """Make a copy where one is due; a copy that fails never fails what it follows."""
+        if not self.writable:
+            return
+        try:
+            make()
+            self.backup_trouble = ""
+        except FaultError as error:
+            self.backup_trouble = str(error)
 
     @property
     def writable(self) -> bool:
@@ -127,6 +158,7 @@ class Dataset:
 
         Raises ``FaultError`` if the disk refuses: the caller still holds the episode.
         """
+        self.labels.refuse_if_frozen()
         episode = recording.with_uuid(episode)
         message = episodes.label_message(episode, label, source, context, time.time_ns())
         written = recording.write_file(self.folder, episode, message, context, keep_frames)
@@ -165,7 +197,9 @@ class Dataset:
         return self.labels.people()
 
     def close(self) -> None:
-        """Close the catalogue and let others write; closing twice does no harm."""
+        """Back up, close the catalogue and let others write; closing twice does no harm."""
+        if self._lock is not None:
+            self._back_up(partial(self.backups.if_changed, "close"))
         self.database.close()
         if self._lock is not None:
             self._lock.release()

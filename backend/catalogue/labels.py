@@ -7,7 +7,7 @@ Every action is one operation, one transaction and one step of undo. A refusal i
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from threading import RLock
@@ -51,6 +51,7 @@ class LabelBook(LabelReader):
         self.four_eyes = True
         self.frozen = ""
         self.journal_trouble = ""
+        self.after_commit: Callable[[], None] = lambda: None
 
     # One episode
 
@@ -243,12 +244,17 @@ class LabelBook(LabelReader):
     @contextmanager
     def commit(self) -> Iterator[sqlite3.Connection]:
         """One transaction on the log; the journal follows it. For the parts of the catalogue."""
-        if self.frozen:
-            raise RefusedError("labels are read-only", self.frozen)
+        self.refuse_if_frozen()
         with self._lock:
             with self._database.transaction() as connection:
                 yield connection
             self._follow()
+        self.after_commit()
+
+    def refuse_if_frozen(self) -> None:
+        """Raise ``RefusedError`` where the log may not be continued."""
+        if self.frozen:
+            raise RefusedError("labels are read-only", self.frozen)
 
     def _follow(self) -> None:
         try:

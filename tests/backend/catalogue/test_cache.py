@@ -11,7 +11,7 @@ from backend.catalogue import cache
 from backend.catalogue.cache import CacheRow, TrainingCache, open_cache, read_observation
 from backend.core.faults import InputError
 from backend.core.flow import Episode, EpisodeQuality
-from backend.dataset.contents import chunk_places
+from backend.dataset.contents import read_chunks
 from backend.dataset.episode_file import write_episode
 from backend.dataset.pack_file import EpisodeRow, PackWriter
 
@@ -35,7 +35,10 @@ def rows(tmp_path: Path) -> list[CacheRow]:
         for number in range(8):
             writer.write(EpisodeRow(truth(number), {"episode": f"e{number}"}))
     quality = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
-    listed = [row(n, "packs/a.mcap", place) for n, place in enumerate(chunk_places(pack))]
+    listed = [
+        row(n, "packs/a.mcap", (chunk.offset, chunk.length))
+        for n, chunk in enumerate(read_chunks(pack))
+    ]
     for number in (8, 9):
         path = tmp_path / "raw" / "s" / f"e{number}.mcap"
         episode = Episode(f"e{number}", "pot", truth(number), np.zeros(2), 0.0, quality)

@@ -1,0 +1,112 @@
+"""What a start does before anything can be recorded: bring files, rows and labels together.
+
+Safe to run at any time and any number of times. Nothing that holds data is deleted; what cannot be
+decided without a person is told and left.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+from backend.catalogue.chain import canonical
+from backend.catalogue.database import add_event
+from backend.catalogue.findings import Finding, Store
+from backend.catalogue.packs import check_packs
+from backend.catalogue.raw_files import check_files
+from backend.catalogue.replay import check_labels
+from backend.catalogue.values import PROGRAM
+from backend.core.faults import InputError
+
+LEFT_OVERS = (
+    ("cache", "*.tmp"),
+    ("cache", ".*.part"),
+    ("exports", "*.tmp"),
+    ("backup", ".*.tmp*"),
+    ("geometry", ".*.part"),
+    (".", ".*.tmp"),
+    (".", ".*.part"),
+)
+"""What a crash may leave of files that are made again anyway."""
+BUSY_S = 60.0
+"""A file changed this recently may be one that a training beside us is building."""
+
+
+def examine(where: Store, *, whole: bool = False) -> Iterator[Finding]:
+    """Yield everything out of order, changing nothing.
+
+    ``whole`` reads every file and checks every operation; else sizes and the newest operations
+    are looked at, which takes seconds for 100,000 episodes.
+    """
+    yield from check_labels(where, whole=whole)
+    yield from check_files(where, whole=whole)
+    yield from check_packs(where, whole=whole)
+    yield from _left_overs(where)
+
+
+def reconcile(where: Store, *, whole: bool = False) -> list[Finding]:
+    """Mend what ``examine`` finds; returns what there is to say, each also kept as an event."""
+    told: list[Finding] = []
+    # Labels come first: an episode whose label is in the journal must not get a second one.
+    for check in (check_labels(where, whole=whole), check_files(where, whole=whole),
+                  check_packs(where, whole=whole), _left_overs(where)):  # fmt: skip
+        for finding in list(check):
+            done = _mended(where, finding)
+            if done is not None:
+                told.append(done)
+    for site in _sites(where):
+        with where.database.transaction() as connection:
+            where.journal.catch_up(connection, site)
+    return told
+
+
+def _mended(where: Store, finding: Finding) -> Finding | None:
+    """Return what to say after mending; None if it was said before and nothing changed."""
+    if finding.mend is None:
+        is_new = _tell_once(where, finding)
+        return finding if is_new or finding.locks else None
+    try:
+        with where.database.transaction() as connection:
+            finding.mend(connection)
+            add_event(connection, PROGRAM, finding.kind, finding.target, {"said": finding.said})
+    except (InputError, OSError) as error:
+        said = f"{finding.said} That failed: {error}"
+        failed = Finding("not-mended", finding.target, said)
+        return failed if _tell_once(where, failed) else None
+    return finding
+
+
+def _tell_once(where: Store, finding: Finding) -> bool:
+    """Keep a finding as an event; False if the same was kept before."""
+    body = {"said": finding.said}
+    kept = canonical(body).decode("utf-8")
+    sql = "SELECT 1 FROM event WHERE verb = ? AND target = ? AND body = ? LIMIT 1"
+    if where.database.first(sql, (finding.kind, finding.target, kept)):
+        return False
+    with where.database.transaction() as connection:
+        add_event(connection, PROGRAM, finding.kind, finding.target, body)
+    return True
+
+
+def _sites(where: Store) -> list[str]:
+    return [site for (site,) in where.database.rows("SELECT DISTINCT site FROM op")]
+
+
+def _left_overs(where: Store) -> Iterator[Finding]:
+    for folder, pattern in LEFT_OVERS:
+        for path in sorted((where.folder / folder).glob(pattern)):
+            if time.time() - path.stat().st_mtime < BUSY_S:
+                continue
+            said = f"{where.name(path)} was left half-made: deleted."
+            yield Finding("left-over", where.name(path), said, partial(_remove, path))
+
+
+def _remove(path: Path, _: sqlite3.Connection) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

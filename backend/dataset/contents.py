@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from hashlib import sha256
 from pathlib import Path
 
 import zstandard
@@ -30,6 +31,16 @@ class Contents:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     messages: dict[str, list[memoryview]] = field(default_factory=dict)
     sequence: dict[str, list[int]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class StoredChunk:
+    """One chunk record of a file: where it is, the hash of its records, and what they hold."""
+
+    offset: int
+    length: int
+    sha256: str
+    contents: Contents
 
 
 @contextmanager
@@ -104,18 +115,18 @@ def read_chunk(path: Path, offset: int, length: int) -> Contents:
         return group
 
 
-def chunk_places(path: Path) -> list[tuple[int, int]]:
-    """Return (offset, length) of every whole chunk record, up to where the file is torn."""
-    data = read_bytes(path)
-    places, at = [], len(MAGIC)
-    try:
-        for op, content in walk(memoryview(data)[at:], "the file"):
+def read_chunks(path: Path) -> Iterator[StoredChunk]:
+    """Yield every chunk of a complete file; raises ``InputError`` where it is damaged."""
+    with explained(path):
+        data = read_bytes(path)
+        _check_ends(data)
+        at = len(MAGIC)
+        for op, content in walk(memoryview(data)[at : -len(MAGIC)], "the file"):
             if op == Op.CHUNK:
-                places.append((at, 9 + len(content)))
+                plain, group = open_chunk(content), Contents()
+                _read_messages(plain, group)
+                yield StoredChunk(at, 9 + len(content), sha256(plain).hexdigest(), group)
             at += 9 + len(content)
-    except ValueError:
-        pass
-    return places
 
 
 def read_whole(path: Path) -> Contents:

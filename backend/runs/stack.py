@@ -9,10 +9,12 @@ from backend.core.facts import (
     ApprovalAwaited,
     BeliefUpdated,
     EpisodeRecorded,
+    FaultRaised,
     PatchEstimated,
     Said,
     StabilityJudged,
 )
+from backend.core.faults import FaultError
 from backend.core.flow import Outcome
 from backend.placement.belief import Belief
 from backend.placement.policy import choose
@@ -89,8 +91,16 @@ def _let_go(bench: Bench, judged: Judged, *, approved: bool) -> Plan[Ending]:
     """Release here and see how the piece does."""
     probe = judged.felt.probe
     yield from release(bench, judged, approved=approved)
-    yield _recorded(bench, judged.felt)
-    return (yield from after_release(bench, probe))
+    # What became of the piece is told first: a disk that refuses the episode must not hide it.
+    ending = yield from after_release(bench, probe)
+    try:
+        recorded = _recorded(bench, judged.felt)
+    except FaultError as cause:
+        bench.interlock.raise_fault(cause.fault)
+        yield FaultRaised(bench.now_s(), cause.fault)
+        return replace(ending, fault=cause.fault)
+    yield recorded
+    return ending
 
 
 def _asked(bench: Bench, judged: Judged) -> Plan[bool]:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
+from backend.core.faults import Fault, FaultError
 from backend.core.flow import Episode
 from backend.dataset.episode_file import write_episode
 
@@ -38,9 +39,23 @@ class RunStore:
             self._pending = self._writer.submit(self._write, self._folder, episode)
 
     def settle(self) -> Path | None:
-        """Wait until the last episode is on disk; return its path."""
+        """Wait until the last episode is on disk; return its path.
+
+        Raises ``FaultError`` where the disk refused it.
+        """
         pending, self._pending = self._pending, None
-        return None if pending is None else pending.result()
+        try:
+            return None if pending is None else pending.result()
+        except OSError as error:
+            raise FaultError(
+                Fault(
+                    "EPISODE-FAILED",
+                    f"The episode cannot be written: {error.strerror or error}.",
+                    "The run ends; its journal and all earlier episodes are on disk.",
+                    f"Make room on the disk of {self._folder}, then press Reset.",
+                    "store",
+                )
+            ) from error
 
     def close(self) -> None:
         """Finish the last write and end the thread."""

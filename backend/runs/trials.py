@@ -40,7 +40,8 @@ def stack_run(host: RunHost, request: StackRequest) -> Plan[None]:
         ending, run_ending = yield from _one_trial(bench, request)
         yield finished(bench, trial + 1, seed, ending)
         if run_ending is not None:
-            yield RunFinished(bench.now_s(), host.run_id, run_ending, ending.reason)
+            reason = ending.reason if ending.fault is None else ending.fault.what
+            yield RunFinished(bench.now_s(), host.run_id, run_ending, reason)
             return
     yield RunFinished(bench.now_s(), host.run_id, "finished", "All trials are done.")
 
@@ -50,5 +51,5 @@ def _one_trial(bench: Bench, request: StackRequest) -> Plan[tuple[Ending, RunEnd
     plan = pick_and_place if request.strategy == "pick-and-place" else stack
     ended = yield from orderly(bench, plan(bench))
     if ended.value is not None:
-        return ended.value, None
+        return ended.value, None if ended.value.fault is None else "failed"
     return Ending(Outcome.ABORTED, ended.reason, bench.probe_count()), ended.run_ending

@@ -92,7 +92,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         screen.say(f"Kept in {session.run_folder}")
     screen.result(_result(args, trials, faults, session.run_folder))
     placed = [t for t in trials if t.outcome is Outcome.PLACED]
-    return 0 if len(placed) == request.trials else 1
+    return 0 if len(placed) == request.trials and not faults else 1
 
 
 @contextmanager

@@ -61,26 +61,8 @@ class OracleSession:
 
     def _oracle(self, bench: SimulatedBench) -> Oracle:
         self.benches.append(bench)
-<<<<<<< tests/backend/runs/oracle_bench.py
-        self.oracles.append(oracle)
-        wrist = self._settings.wrist
-        return Stage(
-            clock=bench.clock,
-            devices=bench.devices,
-            arm=bench.arm,
-            gripper=bench.gripper,
-            piece=scene.piece,
-            bottom="+".join(choice.bottoms),
-            advance=bench.advance,
-            scoring=assembly.SimulatedScoring(bench, 3.0, animate=False),
-            estimator=oracle,
-            payload=gripper_payload(wrist.payload_kg, wrist.payload_com_mm),
-            outline=scene.surface,
-        )
-=======
         self.oracles.append(Oracle(bench))
         return self.oracles[-1]
->>>>>>> /tmp/h2.new
 
     def of(self, kind: type[Fact]) -> list[Fact]:
         return [fact for fact in self.facts if isinstance(fact, kind)]

@@ -28,10 +28,9 @@ def main(qapp, qtbot, tmp_path: Path):
 def live(main, bench, qtbot):
     """The window with the stand-in bench attached and shown."""
     main.attach(bench)
-    main.window.show()
-    qtbot.waitExposed(main.window)
-    main.window.activateWindow()
-    qtbot.waitActive(main.window)
+    with qtbot.waitActive(main.window, timeout=3000):
+        main.window.show()
+        main.window.activateWindow()
     bench.turn(0.2)
     settle(main)
     return main

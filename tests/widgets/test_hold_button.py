@@ -1,0 +1,242 @@
+"""Every way of losing a held button or key ends the hold, once, for mouse, touch and key."""
+
+import pytest
+from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
+from PySide6.QtGui import QKeyEvent
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication, QLineEdit, QMessageBox, QStackedWidget, QWidget
+
+from widgets.hold_button import LEAST_PX, MOUSE, SLACK_PX, Hold, HoldButton
+
+KEY = Qt.Key.Key_Left
+
+
+class Desk(QStackedWidget):
+    """A window with two pages; the first has a hold-to-run button and a text field."""
+
+    def __init__(self):
+        super().__init__()
+        self.page, self.other = QWidget(), QWidget()
+        self.addWidget(self.page)
+        self.addWidget(self.other)
+        self.field = QLineEdit(self.page)
+        self.field.move(10, 120)
+        self.renewed, self.causes, self.allowed = [], [], True
+        self.hold = Hold(self.page, self._renew, self.causes.append)
+        self.button = HoldButton("+X", "+x", "Jog plus X", self.hold)
+        self.button.setParent(self.page)
+        self.button.setGeometry(40, 40, 60, 60)
+        self.second = HoldButton("+Y", "+y", "Jog plus Y", self.hold)
+        self.second.setParent(self.page)
+        self.second.setGeometry(200, 40, 60, 60)
+        self.page.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.resize(400, 200)
+
+    def _renew(self, what):
+        self.renewed.append(what)
+        return self.allowed
+
+    def keyPressEvent(self, event):  # noqa: N802
+        if event.key() == KEY and not event.isAutoRepeat():
+            self.hold.press(self.page, "-x", event.key())
+
+
+@pytest.fixture
+def desk(qtbot):
+    made = Desk()
+    qtbot.addWidget(made)
+    in_front(qtbot, made)
+    made.page.setFocus()
+    return made
+
+
+def in_front(qtbot, window):
+    with qtbot.waitActive(window, timeout=3000):
+        window.show()
+        window.activateWindow()
+
+
+@pytest.fixture
+def touch():
+    return QTest.createTouchDevice()
+
+
+def begin(desk, source, touch):
+    if source == "mouse":
+        QTest.mousePress(desk.button, Qt.MouseButton.LeftButton)
+    elif source == "touch":
+        QTest.touchEvent(desk.button, touch).press(0, QPoint(30, 30), desk.button).commit()
+    else:
+        QTest.keyPress(desk, KEY)
+    assert desk.hold.held
+    assert len(desk.renewed) == 1
+
+
+def hide(desk):
+    desk.hold._widget.hide()
+
+
+def disable(desk):
+    desk.hold._widget.setEnabled(False)
+
+
+def close(desk):
+    desk.close()
+
+
+def other_page(desk):
+    desk.setCurrentWidget(desk.other)
+
+
+def deactivated(desk):
+    QApplication.sendEvent(desk, QEvent(QEvent.Type.WindowDeactivate))
+
+
+def blocked(desk):
+    QApplication.sendEvent(desk, QEvent(QEvent.Type.WindowBlocked))
+
+
+def dialog(desk):
+    desk.box = QMessageBox(QMessageBox.Icon.NoIcon, "t", "text", parent=desk)
+    desk.box.open()
+    QApplication.processEvents()
+    desk.box.close()
+
+
+def focus_moved(desk):
+    desk.field.setFocus()
+
+
+def program_left(desk):
+    application = QApplication.instance()
+    application.applicationStateChanged.emit(Qt.ApplicationState.ApplicationInactive)
+
+
+def second_axis(desk):
+    desk.hold.press(desk.second, "+y", MOUSE)
+
+
+def refused(desk):
+    desk.allowed = False
+    desk.hold._beat()
+
+
+def other_key(desk):
+    QTest.keyPress(desk, Qt.Key.Key_Up)
+
+
+def state_left(desk):
+    desk.hold.end("the bench is not ready")
+
+
+ENDS = [hide, disable, close, other_page, deactivated, blocked, dialog, focus_moved, program_left,
+        second_axis, refused, other_key, state_left]  # fmt: skip
+
+
+@pytest.mark.parametrize("end", ENDS, ids=lambda end: end.__name__)
+@pytest.mark.parametrize("source", ["mouse", "touch", "key"])
+def test_it_ends_once_and_is_renewed_no_more(desk, touch, source, end, qtbot):
+    begin(desk, source, touch)
+    end(desk)
+    assert not desk.hold.held
+    assert len(desk.causes) == 1
+    assert not desk.hold._timer.isActive()
+    assert not desk.button.isDown()
+    count = len(desk.renewed)
+    desk.hold._beat()
+    assert len(desk.renewed) == count, "a beat that was on its way renews nothing"
+
+
+def test_an_inactive_window_never_begins(desk, qtbot):
+    """Behind another window a button may stay down without telling anybody."""
+    other = QWidget()
+    qtbot.addWidget(other)
+    in_front(qtbot, other)
+    desk.hold.press(desk.button, "+x", MOUSE)
+    assert not desk.hold.held
+    assert desk.renewed == []
+
+
+def test_another_window_ends_it(desk, touch, qtbot):
+    begin(desk, "mouse", touch)
+    other = QWidget()
+    qtbot.addWidget(other)
+    in_front(qtbot, other)
+    assert not desk.hold.held
+
+
+def test_letting_go_ends_it(desk, touch):
+    begin(desk, "mouse", touch)
+    QTest.mouseRelease(desk.button, Qt.MouseButton.LeftButton)
+    begin_again = len(desk.renewed)
+    assert desk.causes == ["released"]
+    QTest.touchEvent(desk.button, touch).press(0, QPoint(30, 30), desk.button).commit()
+    QTest.touchEvent(desk.button, touch).release(0, QPoint(30, 30), desk.button).commit()
+    QTest.keyPress(desk, KEY)
+    QTest.keyRelease(desk, KEY)
+    assert desk.causes == ["released"] * 3
+    assert len(desk.renewed) == begin_again + 2
+
+
+@pytest.mark.parametrize(("away", "held"), [(SLACK_PX - 1, True), (SLACK_PX + 2, False)])
+def test_the_pointer_may_leave_by_the_slack_only(desk, touch, away, held):
+    begin(desk, "mouse", touch)
+    QTest.mouseMove(desk.button, QPoint(desk.button.width() + away, 30))
+    desk.button._follow(QPointF(desk.button.width() - 1 + away, 30.0))
+    assert desk.hold.held is held
+
+
+def test_auto_repeat_is_one_hold_without_extra_renewals(desk):
+    QTest.keyPress(desk, KEY)
+    for _ in range(20):
+        for kind in (QEvent.Type.KeyRelease, QEvent.Type.KeyPress):
+            event = QKeyEvent(kind, KEY, Qt.KeyboardModifier.NoModifier, autorep=True)
+            QApplication.sendEvent(desk, event)
+    assert desk.renewed == ["-x"]
+    assert desk.hold.held
+    QTest.keyRelease(desk, KEY)
+    assert desk.causes == ["released"]
+
+
+def test_only_the_source_that_began_it_lets_it_go(desk, touch):
+    begin(desk, "mouse", touch)
+    desk.hold.release(int(KEY))
+    assert desk.hold.held
+    desk.hold.release(MOUSE)
+    assert not desk.hold.held
+
+
+def test_it_is_renewed_while_held(desk, touch, qtbot):
+    begin(desk, "mouse", touch)
+    qtbot.waitUntil(lambda: len(desk.renewed) >= 4, timeout=3000)
+    assert set(desk.renewed) == {"+x"}
+
+
+def test_a_refused_press_holds_nothing(desk):
+    desk.allowed = False
+    QTest.mousePress(desk.button, Qt.MouseButton.LeftButton)
+    assert desk.causes == ["refused"]
+    assert not desk.hold.held
+
+
+def test_the_button_takes_no_focus_and_is_large(desk):
+    assert desk.button.focusPolicy() is Qt.FocusPolicy.NoFocus
+    assert min(desk.button.minimumWidth(), desk.button.minimumHeight()) >= LEAST_PX
+    assert desk.button.accessibleName()
+    QTest.keyClick(desk, Qt.Key.Key_Space)
+    assert desk.renewed == []
+
+
+def test_destruction_ends_the_renewals(qtbot):
+    desk = Desk()
+    in_front(qtbot, desk)
+    QTest.mousePress(desk.button, Qt.MouseButton.LeftButton)
+    renewed, causes = desk.renewed, desk.causes
+    assert len(renewed) == 1
+    desk.close()
+    desk.deleteLater()
+    QApplication.sendPostedEvents(desk, QEvent.Type.DeferredDelete)
+    assert len(causes) == 1
+    count = len(renewed)
+    qtbot.wait(150)
+    assert len(renewed) == count

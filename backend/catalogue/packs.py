@@ -61,7 +61,7 @@ def check_packs(where: Store, *, whole: bool) -> Iterator[Finding]:
             else:
                 yield _torn(where, path, error)
             continue
-        yield from _compare(where, path, listed)
+        yield from _compare(where, path, listed, found)
     for name in sorted(set(known) - found):
         yield from _gone(where, name)
 
@@ -89,8 +89,11 @@ def _known_packs(where: Store) -> dict[str, int]:
     return {fact["pack"]: fact["bytes"] for fact in facts if "pack" in fact}
 
 
-def _compare(where: Store, path: Path, listed: list[Packed]) -> Iterator[Finding]:
-    """Yield what to do with a complete pack that is new, or not as it was."""
+def _compare(where: Store, path: Path, listed: list[Packed], found: set[str]) -> Iterator[Finding]:
+    """Yield what to do with a complete pack that is new, or not as it was.
+
+    The former name of a renamed pack joins ``found``.
+    """
     name = where.name(path)
     marks = ", ".join("?" * len(listed))
     rows = where.database.rows(
@@ -103,6 +106,7 @@ def _compare(where: Store, path: Path, listed: list[Packed]) -> Iterator[Finding
         said = f"{name} holds episodes of {min(elsewhere)} again: moved to quarantine."
         yield Finding("double", name, said, lambda _: _aside(where, path))
         return
+    found |= elsewhere
     changed = [p for p in listed if there.get(p.uuid) != (name, p.chunk.offset, "complete")]
     lost = [u for u, row in there.items() if row[0] == name and row[2] == "complete"]
     lost = sorted(set(lost) - {p.uuid for p in listed})
@@ -207,8 +211,16 @@ def _gone(where: Store, name: str) -> Iterator[Finding]:
     sql = "SELECT uuid FROM episode WHERE path = ? AND state = 'complete'"
     uuids = [uuid for (uuid,) in where.database.rows(sql, (name,))]
     if uuids:
+
+        def mend(connection: sqlite3.Connection) -> None:
+            _mark(connection, uuids, "missing")
+            # Of no size, so that it is read again when it comes back.
+            values = (json.dumps({"pack": name, "bytes": 0}), uuids[0])
+            sql = "UPDATE series SET bench = ? WHERE uuid = (SELECT series FROM episode"
+            connection.execute(f"{sql} WHERE uuid = ?)", values)
+
         said = f"The pack {name} with {len(uuids)} episodes is missing; their labels are kept."
-        yield Finding("missing", name, said, lambda c: _mark(c, uuids, "missing"))
+        yield Finding("missing", name, said, mend)
 
 
 def _torn(where: Store, path: Path, error: InputError) -> Finding:

@@ -45,11 +45,12 @@ def paper_on_the_default_bench() -> list[Figure]:
     """Placed, unsafe releases and decision latency on mixed noise."""
     ends, latencies_ms = _sixty(None, "paper")
     placed, unsafe, note = _counts(ends)
-    p99 = float(np.percentile(latencies_ms, 99))
+    p50, p99 = (float(value) for value in np.percentile(latencies_ms, [50, 99]))
+    decided = f"{len(latencies_ms)} decisions, median {p50:.1f}, max {max(latencies_ms):.1f} ms"
     return [
         Figure("placed, paper strategy", placed, "of 60", ">= 50", placed >= 50, note),
         Figure("released unsafely, paper strategy", unsafe, "of 60", "<= 3", unsafe <= 3, note),
-        Figure("decision latency p99", p99, "ms", "<= 10", p99 <= 10),
+        Figure("decision latency p99, headless", p99, "ms", "<= 10", p99 <= 10, decided),
     ]
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from backend.__main__ import main
+from backend.dataset.episode_reading import read_episode
 from backend.runs.journal import NAME
 from backend.simulation.release_mujoco import available
 
@@ -194,3 +195,39 @@ def test_pick_and_place_asks_for_no_model(
     )
     assert status == 2
     assert "no.safetensors" in err
+
+
+def test_a_camera_that_falls_silent_ends_in_one_fault_and_keeps_the_rest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = tmp_path / "runs"
+    words = ("stack", "--seed", "7", "--trials", "2", "--runs", str(runs))
+    status, out, err = call(capsys, *words, "--inject", "tactile_right:stop@7.0")
+    told = json.loads(out)
+    assert (status, err, told["faults"]) == (1, "", ["CAMERA-STALE"])
+    # The first probe was over by then; the trial is aborted and no other one is begun.
+    (trial,) = told["trials"]
+    assert trial["outcome"] == "aborted"
+    assert "CAMERA-STALE" in trial["reason"]
+    assert len(list(runs.glob("*/episodes/*.mcap"))) == 1
+    status, out, _ = call(capsys, "replay", "latest", "--runs", str(runs))
+    again = json.loads(out)
+    assert (status, again["ending"]) == (0, "failed")
+    assert again["facts"]["EpisodeRecorded"] == 1
+    assert again["facts"]["FaultRaised"] == 1
+
+
+def test_a_camera_silent_for_a_moment_costs_one_probe(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = ("--runs", str(tmp_path / "runs"))
+    status, out, _ = call(
+        capsys, "stack", "--seed", "7", *runs, "--inject", "tactile_left:stop@4.0+0.4"
+    )
+    told = json.loads(out)
+    assert told["faults"] == []
+    assert (status, told["trials"][0]["outcome"]) == (0, "placed")
+    episodes = list((tmp_path / "runs").glob("*/episodes/*.mcap"))
+    refused = [path for path in episodes if not read_episode(path).quality.accepted]
+    assert len(refused) == 1
+    assert any("tactile_left" in r or "left" in r for r in read_episode(refused[0]).quality.reasons)

@@ -5,18 +5,16 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
-import numpy as np
-
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.diskspace import room_for
 from backend.catalogue.uuid7 import uuid7
 from backend.catalogue.values import EpisodeContext, EpisodeEntry, EpisodeFilter
 from backend.core.facts import CampaignBegan, RunFinished, RunStarted
 from backend.core.faults import InputError, RefusedError
-from backend.dataset.coverage import Coverage, coverage
 from backend.runs.bench import Bench
 from backend.runs.campaign import Campaign, new_campaign, read_campaign
 from backend.runs.collect_plan import Target, planned_mm
+from backend.runs.collect_report import coverage_of
 from backend.runs.collected import EpisodeRecorder, Origin
 from backend.runs.collecting import Collector
 from backend.runs.host import RunHost
@@ -62,7 +60,7 @@ def _mountings(
         bench = host.set_scene(request.scene(campaign.mountings), host.method)
         target = Target(bench.piece.face, bench.outline, request.within_mm)
         if collector is None:
-            seen = _seen(recorder.dataset, entries, target)
+            seen = coverage_of(recorder.dataset, entries, target.face, target.bottom)
             planned_mm(campaign.pattern, target, campaign.seed, 0, campaign.count, seen)
             collector = Collector(campaign, recorder, host.decisions, seen, entries)
             collector.ask = request.ask
@@ -115,13 +113,6 @@ def _origin(bench: Bench, request: CollectRequest) -> Origin:
     if sigma_mm is None:
         sigma_mm = bench.settings.collect.origin_sigma_mm
     return Origin(*request.origin_mm, sigma_mm)
-
-
-def _seen(dataset: Dataset, entries: list[EpisodeEntry], target: Target) -> Coverage:
-    """Return the coverage of what the campaign has already."""
-    kept = [e for e in entries if e.quality.accepted and not e.deleted]
-    offsets = [dataset.labels.head(entry.uuid).label.offset_mm for entry in kept]
-    return coverage(np.array(offsets).reshape(-1, 2), target.face, target.bottom)
 
 
 def _context(

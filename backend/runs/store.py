@@ -21,6 +21,11 @@ def data_folder() -> Path:
     return Path(base) / "touchdown"
 
 
+def dataset_folder() -> Path:
+    """Return the folder of the operator's usual dataset."""
+    return data_folder() / "dataset"
+
+
 class RunStore:
     """Writes episodes on one thread of its own, so that a run does not wait for the disk.
 

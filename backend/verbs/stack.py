@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-import signal
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 
 from rich.table import Table
 
@@ -18,6 +13,7 @@ from backend.core.faults import InputError
 from backend.core.flow import Outcome
 from backend.runs.requests import StackRequest
 from backend.runs.store import data_folder
+from backend.verbs.ctrl_c import ctrl_c_cancels
 from backend.verbs.screen import Screen
 
 NAME = "stack"
@@ -83,7 +79,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     session.hub.subscribe(lambda fact: _follow(fact, trials, faults))
     session.hub.subscribe(lambda fact: narrate(fact, screen))
     try:
-        with _ctrl_c_cancels(session.engine.cancel):
+        with ctrl_c_cancels(session.engine.cancel):
             session.run(request)
     finally:
         session.close()
@@ -93,24 +89,6 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     screen.result(_result(args, trials, faults, session.run_folder))
     placed = [t for t in trials if t.outcome is Outcome.PLACED]
     return 0 if len(placed) == request.trials and not faults else 1
-
-
-@contextmanager
-def _ctrl_c_cancels(cancel: Callable[[], None]) -> Iterator[None]:
-    """Let the first Ctrl-C end the run in an orderly way; the second one interrupts."""
-
-    def once(_signal: int, _frame: FrameType | None) -> None:
-        signal.signal(signal.SIGINT, before)
-        cancel()
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, once)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _follow(fact: Fact, trials: list[TrialFinished], faults: list[FaultRaised]) -> None:

@@ -1,0 +1,244 @@
+"""``touchdown collect``: fill a dataset with labelled probes of the simulated bench."""
+
+from __future__ import annotations
+
+import argparse
+import getpass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from backend.config.method import CollectSettings, StackSettings
+from backend.core.facts import (
+    CampaignBegan,
+    Fact,
+    FaultRaised,
+    Gripped,
+    ProbeCollected,
+    RunFinished,
+    Said,
+)
+from backend.core.faults import InputError
+from backend.runs.requests import CollectRequest
+from backend.runs.store import data_folder, dataset_folder
+from backend.verbs.ctrl_c import ctrl_c_cancels
+from backend.verbs.screen import Advance, Screen
+
+if TYPE_CHECKING:
+    from backend.catalogue.dataset import Dataset
+    from backend.dataset.coverage import Coverage
+    from backend.dataset.health import Finding
+    from backend.session import Session
+
+NAME = "collect"
+HELP = "collect labelled probes into a dataset"
+JSON_VERSION = 1
+LISTED = 12
+"""So many findings are printed; ``--json`` has all of them."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments of this verb."""
+    parser.add_argument("--piece", default="pot", help="grasped piece (default: pot)")
+    parser.add_argument("--bottom", default="circle15", help="bottom piece (default: circle15)")
+    parser.add_argument("--count", type=int, default=20, help="probes to collect (default: 20)")
+    parser.add_argument("--pattern", choices=("random", "grid", "adaptive"), default="random")
+    parser.add_argument("--within", type=float, metavar="MM", help="largest displacement in x, y")
+    parser.add_argument("--seed", type=int, default=0)
+    limits = CollectSettings()
+    for flag, default in (
+        ("--probes-per-grip", limits.probes_per_grip),
+        ("--grips-per-mounting", limits.grips_per_mounting),
+    ):
+        parser.add_argument(flag, type=int, default=default, help=f"at most (default: {default})")
+    parser.add_argument(
+        "--origin", type=float, nargs=2, default=(0.0, 0.0), metavar=("X", "Y"),
+        help="centre of the bottom in the frame of the arm, mm (default: 0 0)",
+    )  # fmt: skip
+    parser.add_argument("--origin-sigma", type=float, metavar="MM", help="its uncertainty")
+    parser.add_argument(
+        "--check-origin", action="store_true", help="probe at known displacements first"
+    )
+    parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
+    parser.add_argument("--person", help="who collects (default: the account's name)")
+    parser.add_argument(
+        "--resume", action="store_true", help="go on with the newest campaign, by its own plan"
+    )
+    parser.add_argument("--bench", metavar="FILE", help="settings of the simulated bench (TOML)")
+    parser.add_argument("--preset", help="noise preset: mixed, quiet, hard, off, realistic")
+    parser.add_argument("--inject", action="append", default=[], metavar="FAULT",
+                        help="scripted disturbance such as force_torque:stop@30")  # fmt: skip
+    parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
+    parser.add_argument("--runs", metavar="DIR", help="folder for journals (default: data folder)")
+
+
+def run(args: argparse.Namespace, screen: Screen) -> int:
+    """Collect; 0 if every probe of the plan is there or was left out on purpose, else 1."""
+    # Imported here so that `touchdown --help` starts without SQLite and scipy.
+    from backend.catalogue.dataset import Dataset
+
+    for flag in ("probes_per_grip", "grips_per_mounting"):
+        if getattr(args, flag) < 1:
+            name = "--" + flag.replace("_", "-")
+            raise InputError(f"{name} must be at least 1.", name, "Give a positive number.")
+    folder = Path(args.dataset) if args.dataset else dataset_folder()
+    person = args.person or getpass.getuser()
+    with Dataset.open(folder, create=not args.resume, person=person) as dataset:
+        for notice in dataset.notices:
+            screen.say(notice)
+        session = _session(args)
+        session.dataset = dataset
+        told = _Told(screen)
+        try:
+            session.hub.subscribe(told.take)
+            with (
+                screen.progress("Collecting", args.count) as told.advance,
+                ctrl_c_cancels(session.engine.cancel),
+            ):
+                session.run(_request(args, dataset, person))
+        finally:
+            session.close()
+        return _report(dataset, session, told, screen)
+
+
+class _Told:
+    """What the run told so far, and the bar that follows it."""
+
+    def __init__(self, screen: Screen) -> None:
+        self._screen = screen
+        self.advance: Advance | None = None
+        self.began: CampaignBegan | None = None
+        self.ended: RunFinished | None = None
+        self.collected: list[ProbeCollected] = []
+        self.faults: list[str] = []
+
+    def take(self, fact: Fact) -> None:
+        """Take one fact."""
+        if isinstance(fact, CampaignBegan):
+            self.began = fact
+            self._move(fact.done, fact.total, "")
+        elif isinstance(fact, ProbeCollected):
+            self.collected.append(fact)
+            self._move(fact.done, fact.total, "")
+            if fact.reasons:
+                self._screen.say(f"  probe {fact.probe} is not an observation: {fact.reasons}")
+        elif isinstance(fact, Gripped):
+            self._screen.say(
+                f"  mounting {fact.mounting}, grip {fact.grip}: {fact.mass_g:.1f} g held"
+            )
+        elif isinstance(fact, Said):
+            self._screen.say(f"  {fact.text}")
+        elif isinstance(fact, FaultRaised):
+            self.faults.append(fact.fault.code)
+        elif isinstance(fact, RunFinished):
+            self.ended = fact
+
+    def _move(self, done: int, total: int, text: str) -> None:
+        if self.advance is not None:
+            self.advance(done, f"of {total} {text}")
+
+
+def _session(args: argparse.Namespace) -> Session:
+    from backend.assembly import SimulatedBenchChoice, simulated_session
+    from backend.session import Keep
+
+    limits = CollectSettings(
+        probes_per_grip=args.probes_per_grip, grips_per_mounting=args.grips_per_mounting
+    )
+    choice = SimulatedBenchChoice(
+        file=Path(args.bench) if args.bench else None,
+        preset=args.preset,
+        disturbances=tuple(args.inject),
+        pieces=Path(args.pieces) if args.pieces else None,
+    )
+    runs = Path(args.runs) if args.runs else data_folder() / "runs"
+    keep = Keep(runs, episodes=False)
+    return simulated_session(choice, keep=keep, method=StackSettings(collect=limits))
+
+
+def _request(args: argparse.Namespace, dataset: Dataset, person: str) -> CollectRequest:
+    from backend.runs.campaign import newest_campaign
+
+    campaign = newest_campaign(dataset.folder) if args.resume else ""
+    if campaign is None:
+        raise InputError(
+            "No campaign was ever begun here.", str(dataset.folder), "Collect without --resume."
+        )
+    return CollectRequest(
+        piece=args.piece,
+        bottom=args.bottom,
+        count=args.count,
+        seed=args.seed,
+        pattern=args.pattern,
+        person=person,
+        within_mm=args.within,
+        origin_mm=(args.origin[0], args.origin[1]),
+        origin_sigma_mm=args.origin_sigma,
+        check_origin=args.check_origin,
+        campaign=campaign,
+    )
+
+
+def _report(dataset: Dataset, session: Session, told: _Told, screen: Screen) -> int:
+    from backend.catalogue.values import EpisodeFilter
+    from backend.dataset.health import examine
+    from backend.runs.campaign import read_campaign
+    from backend.runs.collect_report import coverage_of, examined
+
+    assert told.began is not None
+    assert told.ended is not None
+    campaign = read_campaign(dataset.folder, told.began.campaign)
+    entries = dataset.episodes(EpisodeFilter(campaign=campaign.uuid))
+    piece, bottom = (session.catalogue.piece(n) for n in (campaign.piece, campaign.bottom))
+    seen = coverage_of(dataset, entries, piece.face, bottom.face)
+    findings = examine(examined(dataset, entries))
+    left = len(campaign.todo(entries))
+    done = campaign.count - left - len(campaign.skipped)
+    screen.say(told.ended.reason)
+    screen.say(coverage_text(seen))
+    _say_findings(findings, screen)
+    screen.say(f"Dataset {dataset.folder}, campaign {campaign.uuid}")
+    screen.result({
+        "version": JSON_VERSION,
+        "dataset": str(dataset.folder),
+        "campaign": campaign.uuid,
+        "piece": campaign.piece,
+        "bottom": campaign.bottom,
+        "simulated": session.simulated,
+        "ending": told.ended.ending,
+        "collected": done,
+        "count": campaign.count,
+        "left_out": list(campaign.skipped),
+        "covered": seen.covered,
+        "holes": seen.holes,
+        "findings": [
+            {"kind": f.kind, "episodes": list(f.episodes), "text": f.text} for f in findings
+        ],
+        "faults": told.faults,
+        "run": None if session.run_folder is None else str(session.run_folder),
+    })  # fmt: skip
+    return 0 if not left else 1
+
+
+def coverage_text(seen: Coverage) -> str:
+    """Return counts per bin as lines of text, y up; a point is a hole, a blank cannot be probed."""
+    possible = int(seen.possible.sum())
+    lines = [f"Covered {possible - seen.holes} of {possible} bins of {seen.bin_mm:g} mm:"]
+    for row in range(len(seen.counts) - 1, -1, -1):
+        marks = [
+            ("." if possible else " ") if count == 0 else str(count) if count < 10 else "+"
+            for count, possible in zip(seen.counts[row], seen.possible[row], strict=True)
+        ]
+        lines.append(("  " + " ".join(marks)).rstrip())
+    return "\n".join(line for line in lines if line.strip())
+
+
+def _say_findings(findings: list[Finding], screen: Screen) -> None:
+    if not findings:
+        screen.say("Health: nothing looks wrong.")
+        return
+    screen.say(f"Health: {len(findings)} findings.")
+    for finding in findings[:LISTED]:
+        names = " ".join(finding.episodes)
+        screen.say(f"  {finding.kind}: {finding.text} {names}".rstrip())
+    if len(findings) > LISTED:
+        screen.say(f"  ... and {len(findings) - LISTED} more (--json has them all)")

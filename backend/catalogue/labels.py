@@ -7,17 +7,18 @@ Every action is one operation, one transaction and one step of undo. A refusal i
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from threading import RLock
 from typing import Any
 
-from backend.catalogue import heads, operations, review
+from backend.catalogue import bulk, heads, operations, review
+from backend.catalogue.bulk import Change, Preview
 from backend.catalogue.database import Database
 from backend.catalogue.journal import Journal
 from backend.catalogue.label_reading import LabelReader, standing_of
-from backend.catalogue.operations import Draft, Mark, new_revision, read_revision
+from backend.catalogue.operations import Draft, mark_of, new_revision, read_revision
 from backend.catalogue.review import REJECT_REASONS, Action, Standing, check_person
 from backend.catalogue.undo import Stacks, inverse, read_stacks
 from backend.catalogue.values import (
@@ -142,9 +143,7 @@ class LabelBook(LabelReader):
             if len(ids) < 2 or rev_uuid not in ids:
                 raise RefusedError("no conflict", "There is no conflict that this would resolve.")
             winner = read_revision(connection, rev_uuid)
-            repeated = _following(winner, winner, winner.state)
-            draft.revs.append(repeated)
-            draft.repeats.append(repeated["rev_uuid"])
+            draft.add_copy(_following(winner, winner, winner.state), winner.rev_uuid)
             draft.closes += [other for other in ids if other != rev_uuid]
         return self.head(uuid)
 
@@ -157,6 +156,23 @@ class LabelBook(LabelReader):
         return self.set(
             person, uuid, old.label, source=old.source, verdict=old.verdict, note=old.note
         )
+
+    # Many episodes
+
+    def preview(self, person: str, uuids: Iterable[str], change: Change) -> Preview:
+        """Return what ``change`` would do to these episodes; nothing is written."""
+        name = check_person(person)
+        with self._database.reading() as connection:
+            return bulk.preview(connection, uuids, change, name, four_eyes=self.four_eyes)
+
+    def bulk(self, person: str, wanted: Preview) -> int:
+        """Do what was previewed, as one operation; returns how many labels changed.
+
+        Raises ``RefusedError`` and changes nothing if one of the labels changed since.
+        """
+        with self._act(person, "bulk") as (connection, draft, name):
+            bulk.fill(connection, draft, wanted, name, four_eyes=self.four_eyes)
+        return len(wanted.rows)
 
     # Marks
 
@@ -190,7 +206,7 @@ class LabelBook(LabelReader):
             standing = standing_of(connection, uuid)
             if standing.deleted and name != DELETED:
                 review.refuse_closed(standing)
-            mark = _new_mark(connection, uuid, name, present, note)
+            mark = mark_of(connection, uuid, name, present=present, note=note)
             if mark["present"] != mark["was"] or mark["note"] != mark["was_note"]:
                 draft.marks.append(mark)
 
@@ -316,13 +332,3 @@ def _following(head: Revision, said: Revision, state: LabelState) -> dict[str, A
     """Return the revision after ``head`` that says what ``said`` says."""
     reason = said.reason if state == "rejected" else None
     return new_revision(head.episode, head.rev_uuid, Content.of(said), state, reason)
-
-
-def _new_mark(
-    connection: sqlite3.Connection, uuid: str, name: str, present: bool, note: str
-) -> Mark:
-    row = connection.execute(
-        "SELECT present, note FROM mark WHERE episode = ? AND name = ?", (uuid, name)
-    ).fetchone()
-    was, was_note = (bool(row[0]), row[1]) if row else (False, "")
-    return Mark(episode=uuid, name=name, present=present, note=note, was=was, was_note=was_note)

@@ -22,33 +22,44 @@ REVERSING = ("undo", "redo")
 
 
 class Mark(TypedDict):
-    """A word put on an episode or taken off, and what was there before."""
+    """A word put on an episode or taken off, and what was there before.
+
+    ``owner``: the operation whose mark it is, None for the one that writes it; an undo gives it
+    back to the one before ("" if there was none).
+    """
 
     episode: str
     name: str
     present: bool
     note: str
+    owner: str | None
     was: bool
     was_note: str
+    was_owner: str
 
 
 @dataclass(slots=True)
 class Draft:
-    """What one action is about to write. ``repeats``: revisions that repeat their parent."""
+    """What one action is about to write. ``copies``: whose content a revision writes again."""
 
     revs: list[dict[str, Any]] = field(default_factory=list)
     closes: list[str] = field(default_factory=list)
     marks: list[Mark] = field(default_factory=list)
-    repeats: list[str] = field(default_factory=list)
+    copies: dict[str, str] = field(default_factory=dict)
     reviews: list[Mapping[str, object]] = field(default_factory=list)
     extra: dict[str, object] = field(default_factory=dict)
+
+    def add_copy(self, revision: dict[str, Any], source: str) -> None:
+        """Write ``revision``, whose content is that of the revision ``source``."""
+        self.revs.append(revision)
+        self.copies[revision["rev_uuid"]] = source
 
     def body(self) -> dict[str, object]:
         """Return the body of the operation; empty optional parts are left out."""
         body: dict[str, object] = {"closes": list(self.closes), "revs": list(self.revs)}
-        for name in ("marks", "repeats", "reviews"):
+        for name in ("marks", "copies", "reviews"):
             if getattr(self, name):
-                body[name] = list(getattr(self, name))
+                body[name] = getattr(self, name)
         return body | self.extra
 
 
@@ -146,9 +157,9 @@ def _touched(connection: sqlite3.Connection, operation: Operation) -> set[str]:
 
 def _store_body(connection: sqlite3.Connection, operation: Operation) -> None:
     body: Mapping[str, Any] = operation.body
-    repeats = set(body.get("repeats", ()))
+    copies = body.get("copies", {})
     for rev in body["revs"]:
-        copy_of = _copied(connection, operation, rev, repeats)
+        copy_of = copies.get(rev["rev_uuid"])
         values = {**rev, "op_uuid": operation.op_uuid, "copy_of": copy_of}
         connection.execute(_INSERT_REVISION, values)
     for closed in body["closes"]:
@@ -170,23 +181,6 @@ VALUES (:rev_uuid, :op_uuid, :episode, :parent, :x_um, :y_um, :theta_mdeg, :sigm
 """
 
 
-def _copied(
-    connection: sqlite3.Connection,
-    operation: Operation,
-    rev: Mapping[str, Any],
-    repeats: set[str],
-) -> str | None:
-    """Return whose content an undo, redo or resolve wrote again: the parent's, or its parent's."""
-    if rev["rev_uuid"] in repeats:
-        return str(rev["parent"])
-    if operation.verb not in REVERSING:
-        return None
-    row = connection.execute(
-        "SELECT parent FROM label_rev WHERE rev_uuid = ?", (rev["parent"],)
-    ).fetchone()
-    return row[0] if row else None
-
-
 def _episode_of(connection: sqlite3.Connection, rev_uuid: str) -> set[str]:
     row = connection.execute("SELECT episode FROM label_rev WHERE rev_uuid = ?", (rev_uuid,))
     return {episode for (episode,) in row}
@@ -197,9 +191,9 @@ def _store_mark(
 ) -> None:
     # The mark of the greatest (lamport, site) stays, so that the order of arrival does not matter.
     connection.execute(
-        "INSERT INTO mark VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO UPDATE SET"
+        "INSERT INTO mark VALUES (?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO UPDATE SET"
         " present = excluded.present, note = excluded.note, op_uuid = excluded.op_uuid,"
-        " lamport = excluded.lamport, site = excluded.site"
+        " lamport = excluded.lamport, site = excluded.site, owner = excluded.owner"
         " WHERE (excluded.lamport, excluded.site) > (mark.lamport, mark.site)",
         (
             mark["episode"],
@@ -209,7 +203,28 @@ def _store_mark(
             operation.op_uuid,
             operation.lamport,
             operation.site,
+            operation.op_uuid if mark["owner"] is None else mark["owner"],
         ),
+    )
+
+
+def mark_of(
+    connection: sqlite3.Connection, episode: str, name: str, *, present: bool, note: str = ""
+) -> Mark:
+    """Return the mark for the body of an operation, with what was there before."""
+    row = connection.execute(
+        "SELECT present, note, owner FROM mark WHERE episode = ? AND name = ?", (episode, name)
+    ).fetchone()
+    was, was_note, was_owner = row or (0, "", "")
+    return Mark(
+        episode=episode,
+        name=name,
+        present=present,
+        note=note,
+        owner=None,
+        was=bool(was),
+        was_note=was_note,
+        was_owner=was_owner,
     )
 
 

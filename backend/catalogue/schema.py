@@ -63,7 +63,7 @@ CREATE INDEX label_head_stage ON label_head (stage, skipped, episode);
 CREATE TABLE mark (
     episode TEXT NOT NULL, name TEXT NOT NULL, present INTEGER NOT NULL, note TEXT NOT NULL,
     op_uuid TEXT NOT NULL REFERENCES op (op_uuid), lamport INTEGER NOT NULL, site TEXT NOT NULL,
-    PRIMARY KEY (episode, name)
+    owner TEXT NOT NULL, PRIMARY KEY (episode, name)
 ) WITHOUT ROWID;
 CREATE INDEX mark_name ON mark (name, present, episode);
 CREATE TABLE review (

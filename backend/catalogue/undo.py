@@ -12,7 +12,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from backend.catalogue.heads import Node, leaves_of, read_nodes
-from backend.catalogue.operations import Draft, Mark, new_revision, read_revision
+from backend.catalogue.operations import (
+    REVERSING,
+    Draft,
+    Mark,
+    new_revision,
+    read_revision,
+)
 from backend.catalogue.uuid7 import uuid7
 from backend.catalogue.values import NO_LABEL, Content, Operation, Revision
 from backend.core.faults import RefusedError
@@ -64,7 +70,8 @@ def read_stacks(connection: sqlite3.Connection, person: str) -> Stacks:
 def inverse(connection: sqlite3.Connection, operation: Operation) -> Draft:
     """Return what takes ``operation`` back.
 
-    Raises ``RefusedError``, naming who, if anybody changed one of its episodes since.
+    Raises ``RefusedError``, naming who, if anybody changed one of its episodes since. A change
+    that was itself undone is none.
     """
     draft = Draft()
     body: Mapping[str, Any] = operation.body
@@ -73,78 +80,71 @@ def inverse(connection: sqlite3.Connection, operation: Operation) -> Draft:
         by_episode.setdefault(rev["episode"], []).append(rev["rev_uuid"])
     for episode, written in by_episode.items():
         nodes, closed = read_nodes(connection, episode)
-        _refuse_later_change(nodes, closed, set(written))
-        _take_back(connection, draft, written, {node.rev_uuid: node for node in nodes}, closed)
+        _take_back(connection, draft, _Story(nodes, closed), written)
     for rev_uuid in body["closes"]:
-        _reopen(connection, draft, rev_uuid)
+        retired = read_revision(connection, rev_uuid)
+        draft.add_copy(_following(retired, retired), rev_uuid)
     # Of several leaves the one that led before has to lead again: ids decide, and they rise.
-    _renumber(connection, draft)
+    if body["closes"]:
+        _renumber(connection, draft)
     for mark in body.get("marks", ()):
         draft.marks.append(_unmark(connection, operation, mark))
     return draft
 
 
-def _refuse_later_change(nodes: list[Node], closed: Iterable[str], written: set[str]) -> None:
-    if {leaf.rev_uuid for leaf in leaves_of(nodes, closed)} == written:
-        return
-    latest = max((n for n in nodes if n.rev_uuid not in written), key=lambda n: n.order)
-    later = [n for n in nodes if n.parent in written]
-    who = (later or [latest])[-1].actor
-    raise RefusedError("changed since", f"{who} changed this label since: undo would lose that.")
+class _Story:
+    """The revisions of one episode, and what its leaves stand for."""
+
+    def __init__(self, nodes: list[Node], closed: Iterable[str]) -> None:
+        self.by_id = {node.rev_uuid: node for node in nodes}
+        self.leaves = {self.original(leaf): leaf for leaf in leaves_of(nodes, closed)}
+
+    def original(self, node: Node) -> str | None:
+        """Return the revision that ``node`` brought back, or itself; None for the very start."""
+        while node.verb in REVERSING:
+            if node.copy_of is None:
+                return None
+            node = self.by_id[node.copy_of]
+        return node.rev_uuid
 
 
 def _take_back(
-    connection: sqlite3.Connection,
-    draft: Draft,
-    written: Iterable[str],
-    by_id: Mapping[str, Node],
-    closed: Iterable[str],
+    connection: sqlite3.Connection, draft: Draft, story: _Story, written: Iterable[str]
 ) -> None:
-    was_closed = set(closed)
-    for rev_uuid in written:
-        node = by_id[rev_uuid]
-        if node.parent in was_closed:
-            # It had reopened a retired revision: retire it again.
-            draft.closes.append(rev_uuid)
+    expected = {story.original(story.by_id[rev]): story.by_id[rev] for rev in written}
+    others = [leaf for key, leaf in story.leaves.items() if key not in expected]
+    if others or len(story.leaves) != len(expected):
+        who = (others or list(story.leaves.values()))[-1].actor
+        raise RefusedError(
+            "changed since", f"{who} changed this label since: undo would lose that."
+        )
+    for key, node in expected.items():
+        leaf = story.leaves[key].rev_uuid
+        if node.verb in REVERSING and node.copy_of == node.parent:
+            # It had reopened a retired revision: retire that again.
+            draft.closes.append(leaf)
             continue
-        now = read_revision(connection, rev_uuid)
-        before = None if node.parent is None else read_revision(connection, node.parent)
-        draft.revs.append(_copy(now, before))
+        now = read_revision(connection, leaf)
+        if node.parent is None:
+            content = Content(NO_LABEL, now.source, now.geometry)
+            draft.revs.append(new_revision(now.episode, leaf, content, "unlabelled"))
+        else:
+            before = read_revision(connection, node.parent)
+            draft.add_copy(_following(now, before), node.parent)
 
 
-def _reopen(connection: sqlite3.Connection, draft: Draft, rev_uuid: str) -> None:
-    now = read_revision(connection, rev_uuid)
-    copy = _copy(now, now)
-    draft.revs.append(copy)
-    draft.repeats.append(str(copy["rev_uuid"]))
-
-
-def _copy(parent: Revision, before: Revision | None) -> dict[str, Any]:
-    if before is None:
-        content = Content(NO_LABEL, parent.source, parent.geometry)
-        return new_revision(parent.episode, parent.rev_uuid, content, "unlabelled")
-    content = Content.of(before)
-    return new_revision(parent.episode, parent.rev_uuid, content, before.state, before.reason)
+def _following(parent: Revision, said: Revision) -> dict[str, Any]:
+    content = Content.of(said)
+    return new_revision(parent.episode, parent.rev_uuid, content, said.state, said.reason)
 
 
 def _renumber(connection: sqlite3.Connection, draft: Draft) -> None:
-    """Give the ids of ``draft.revs`` anew in the order in which what they copy stood."""
-    if not draft.repeats:
-        return
-    repeats = set(draft.repeats)
-    placed = []
-    for rev in draft.revs:
-        source = str(rev["parent"])
-        if rev["rev_uuid"] not in repeats:
-            source = _parent_of(connection, source) or source
-        placed.append((_order(connection, source), rev))
-    placed.sort(key=lambda pair: pair[0])
-    draft.revs, draft.repeats = [], []
-    for _, rev in placed:
-        renewed = {**rev, "rev_uuid": uuid7()}
-        draft.revs.append(renewed)
-        if rev["rev_uuid"] in repeats:
-            draft.repeats.append(renewed["rev_uuid"])
+    """Give the copies of ``draft`` new ids, rising in the order of what they copy."""
+    revs, copies = draft.revs, draft.copies
+    revs.sort(key=lambda rev: _order(connection, copies[rev["rev_uuid"]]))
+    draft.revs, draft.copies = [], {}
+    for rev in revs:
+        draft.add_copy({**rev, "rev_uuid": uuid7()}, copies[rev["rev_uuid"]])
 
 
 def _order(connection: sqlite3.Connection, rev_uuid: str) -> tuple[int, str, str]:
@@ -156,28 +156,24 @@ def _order(connection: sqlite3.Connection, rev_uuid: str) -> tuple[int, str, str
     return int(row[0]), str(row[1]), str(row[2])
 
 
-def _parent_of(connection: sqlite3.Connection, rev_uuid: str) -> str | None:
-    row = connection.execute(
-        "SELECT parent FROM label_rev WHERE rev_uuid = ?", (rev_uuid,)
-    ).fetchone()
-    return row[0] if row else None
-
-
 def _unmark(connection: sqlite3.Connection, operation: Operation, mark: Mapping[str, Any]) -> Mark:
-    where = (mark["episode"], mark["name"])
-    row = connection.execute(
-        "SELECT m.op_uuid, o.actor FROM mark m JOIN op o USING (op_uuid)"
+    owner = operation.op_uuid if mark["owner"] is None else mark["owner"]
+    now = connection.execute(
+        "SELECT m.owner, o.actor FROM mark m JOIN op o USING (op_uuid)"
         " WHERE m.episode = ? AND m.name = ?",
-        where,
+        (mark["episode"], mark["name"]),
     ).fetchone()
-    if row is None or row[0] != operation.op_uuid:
-        who = "someone" if row is None else row[1]
-        raise RefusedError("changed since", f"{who} changed this mark since: undo would lose that.")
+    if now[0] != owner:
+        raise RefusedError(
+            "changed since", f"{now[1]} changed this mark since: undo would lose that."
+        )
     return Mark(
         episode=mark["episode"],
         name=mark["name"],
         present=mark["was"],
         note=mark["was_note"],
+        owner=mark["was_owner"],
         was=mark["present"],
         was_note=mark["note"],
+        was_owner=owner,
     )

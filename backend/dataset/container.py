@@ -6,6 +6,7 @@ read. It also needs some 16 µs per message, which the blocks of ``records`` avo
 
 from __future__ import annotations
 
+import contextlib
 import os
 import struct
 import zlib
@@ -128,14 +129,20 @@ class McapWriter:
         return self.counts
 
     def close(self) -> None:
-        """Finish the file and give it its name."""
-        self.finish()
-        self.part.replace(self.path)
-        sync_folder(self.path.parent)
+        """Finish the file and give it its name; if the disk refuses, nothing of it stays."""
+        try:
+            self.finish()
+            self.part.replace(self.path)
+            sync_folder(self.path.parent)
+        except BaseException:
+            self.discard()
+            raise
 
     def discard(self) -> None:
         """Close and delete the unfinished file."""
-        self._file.close()
+        # Closing writes what is still in the buffer, which a full disk refuses once more.
+        with contextlib.suppress(OSError):
+            self._file.close()
         self.part.unlink(missing_ok=True)
 
     def _statistics(self) -> bytes:

@@ -1,0 +1,152 @@
+"""A disk that refuses: one clear fault, nothing recorded before is lost, and it goes on after."""
+
+import contextlib
+import errno
+import os
+import resource
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from backend.catalogue import diskspace
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.diskspace import room_for
+from backend.catalogue.values import Label
+from backend.core.faults import FaultError, InputError
+from tests.backend.catalogue.conftest import context_for, small_episode
+
+
+@contextmanager
+def no_file_above(size: int) -> Iterator[None]:
+    """Let the system refuse to write any file beyond ``size`` bytes."""
+    old = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, old[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, old)
+        signal.signal(signal.SIGXFSZ, handler)
+
+
+def record(dataset: Dataset, seed: int) -> str:
+    context = context_for(dataset)
+    label = Label(seed, 0, 0, 1)
+    return dataset.record(small_episode(seed=seed), label, source="commanded", context=context).uuid
+
+
+def fill(dataset: Dataset) -> None:
+    for seed in range(3, 60):
+        record(dataset, seed)
+
+
+def whole(dataset: Dataset, uuid: str, seed: int) -> bool:
+    return np.array_equal(dataset.read(uuid).observation, small_episode(seed=seed).observation)
+
+
+@pytest.mark.parametrize("limit", [1, 500, 5_000, 15_000])
+def test_a_full_disk_is_one_fault_and_costs_one_episode(tmp_path: Path, limit: int) -> None:
+    folder = tmp_path / "data"
+    with Dataset.open(folder) as dataset:
+        first = record(dataset, 1)
+        with no_file_above(limit), pytest.raises(FaultError) as error:
+            record(dataset, 2)
+        assert error.value.fault.code == "DISK-FULL"
+        assert error.value.fault.next_step
+        assert [entry.uuid for entry in dataset.episodes()] == [first]
+        assert list(folder.rglob("*.part")) == []
+        last = record(dataset, 3)
+        assert whole(dataset, first, 1)
+        assert whole(dataset, last, 3)
+    with Dataset.open(folder) as dataset:
+        assert dataset.notices == ()
+        assert len(dataset.episodes()) == 2
+        assert dataset.database.one("PRAGMA integrity_check") == ("ok",)
+
+
+Refusal = Callable[[], None]
+
+
+@pytest.mark.parametrize("nth", range(1, 7))
+@pytest.mark.parametrize("name", ["fsync", "replace"])
+def test_the_nth_refusal_loses_nothing_acknowledged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, nth: int
+) -> None:
+    folder = tmp_path / "data"
+    acknowledged: dict[str, int] = {}
+    with Dataset.open(folder) as dataset:
+        acknowledged[record(dataset, 0)] = 0
+        original, calls = getattr(os, name), 0
+
+        def refuse(*args: object, **words: object) -> object:
+            nonlocal calls
+            calls += 1
+            if calls == nth:
+                raise OSError(errno.EIO, "Input/output error")
+            return original(*args, **words)
+
+        monkeypatch.setattr(os, name, refuse)
+        for seed in range(1, 4):
+            with contextlib.suppress(FaultError):
+                acknowledged[record(dataset, seed)] = seed
+        monkeypatch.undo()
+        acknowledged[record(dataset, 9)] = 9
+        assert calls >= nth or name == "replace"
+    with Dataset.open(folder) as dataset:
+        for uuid, seed in acknowledged.items():
+            assert whole(dataset, uuid, seed)
+        assert len(acknowledged) >= 4
+    with Dataset.open(folder) as dataset:
+        assert dataset.notices == ()
+
+
+def test_a_commit_that_fails_leaves_the_file_to_be_adopted(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    with Dataset.open(folder) as dataset:
+        record(dataset, 1)
+        size = (folder / "catalog.db-wal").stat().st_size
+        database = dataset.database
+        with database.reading() as connection:
+            connection.execute("PRAGMA wal_autocheckpoint = 0")
+        record(dataset, 2)
+        limit = max((folder / "catalog.db-wal").stat().st_size, size, 25_000)
+        with no_file_above(limit), pytest.raises(FaultError) as error:
+            fill(dataset)
+        assert error.value.fault.code == "CATALOGUE-WRITE"
+        listed = {entry.uuid for entry in dataset.episodes()}
+        assert database.one("PRAGMA integrity_check") == ("ok",)
+        record(dataset, 99)
+    with Dataset.open(folder) as dataset:
+        assert any("adopted" in notice for notice in dataset.notices)
+        assert len(dataset.episodes()) == len(listed) + 2
+
+
+class Usage:
+    total, used = 10**12, 0
+
+    def __init__(self, free: int) -> None:
+        self.free = free
+
+
+@pytest.mark.parametrize(
+    ("free_mb", "bytes_each", "refused"),
+    [(999, 20_000, True), (1001, 20_000, False), (1500, 20_000_000, True),
+     (2001, 20_000_000, False)],
+)  # fmt: skip
+def test_no_campaign_on_a_disk_nearly_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free_mb: int, bytes_each: int, refused: bool
+) -> None:
+    usage = Usage(free_mb * 1_000_000)
+    monkeypatch.setattr(diskspace.shutil, "disk_usage", lambda place: usage)
+    folder = tmp_path / "not" / "yet"
+    if refused:
+        with pytest.raises(InputError, match="GB"):
+            room_for(folder, 5, bytes_each)
+        return
+    room = room_for(folder, 200, bytes_each)
+    assert room.episodes == usage.free // bytes_each
+    assert room.enough == (room.episodes >= 200)

@@ -25,6 +25,7 @@ VERBS = {
     "train": "train a contact-patch model",
     "models": "simulate, train and measure the models that ship",
     "evaluate": "measure a contact-patch model",
+    "experiment": "measure the paper's three tables on the simulated bench",
     "track": "track the gel's markers in an image, video or folder",
     "doctor": "check this computer, each finding with its fix",
 }

@@ -3,34 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
-from importlib.resources import files
-from pathlib import Path
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from backend.config.load import parse
 from backend.config.method import StackSettings, TrainingSettings
 from backend.config.simulation import SimulationSettings
-from backend.core.faults import InputError
+from backend.core.flow import FloatArray
 from backend.dataset.pack_file import write_packs
-from backend.dataset.rows import TrainingRows, join_rows, load_rows
+from backend.dataset.rows import TrainingRows, join_rows, load_rows, patch_hex
 from backend.experiments.closed_loop import (
     TrialEnd,
     pick_and_place_in_lockstep,
     stack_in_lockstep,
 )
 from backend.experiments.collection import jobs_of, metadata_of, rows_of
+from backend.experiments.distribution import find_twins, held, largest_marker_px
 from backend.experiments.film import film_strip
+from backend.experiments.given_models import WEIGHTS, load_model
 from backend.experiments.models import batch_model
 from backend.experiments.scenes import Case, start_scene
 from backend.experiments.scoring import fused_verdicts, patch_scores
 from backend.experiments.statics import Groups, join_groups, probe_groups
 from backend.jobs.running import Kinds, Workplace
 from backend.jobs.spec import JobSpec
-from backend.jobs.store import JobStore
-from backend.learning.checkpoint import Checkpoint, load_card, load_checkpoint, save_checkpoint
+from backend.learning.checkpoint import Checkpoint, save_checkpoint
 from backend.learning.fitting import card_of
 from backend.learning.metrics import LEVEL, stable_flags
 from backend.learning.training import Trainer, fingerprint, one_thread
@@ -41,11 +41,11 @@ from backend.simulation.episodes import Plan
 from backend.simulation.episodes import simulate as simulated
 from backend.simulation.scene import Scene
 
-WEIGHTS = "model.safetensors"
 FILM = "film.html"
 SLIPPED_MM = 0.02
 """A pad that moved by more than this in one press has slipped."""
 GROUPS_AT_ONCE = 50
+PAIRS = 3
 FILMS = 2
 """Courses of trials that a stacking cell leaves as pictures."""
 
@@ -192,21 +192,43 @@ def _trial(end: TrialEnd) -> dict[str, Any]:
     }
 
 
-def load_model(source: str, store: JobStore) -> Checkpoint:
-    """Return the model that a job trained, or the shipped one with this hash of its weights."""
-    if store.has(source):
-        return load_checkpoint(store.folder(source) / WEIGHTS)
-    for path in sorted(shipped_models().glob("**/*.safetensors")):
-        if load_card(path).weights_sha256 == source:
-            return load_checkpoint(path)
-    raise InputError(
-        "There is no model of this name.", source, "Run the campaign from its beginning."
-    )
+def twins(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
+    """Describe a small collection: signals over the displacement, and like-feeling presses."""
+    simulate(spec, place)
+    rows = load_rows(place.folder)
+    signals = held(rows)
+    points = face_points(load_catalogue().top(rows.piece).face)
+    pairs = find_twins(signals, rows.patch, PAIRS)
+    return {
+        "piece": rows.piece,
+        "bottom": spec.params["bottom"],
+        "offset_mm": _rounded(rows.offset_mm),
+        "marker_px": _rounded(largest_marker_px(signals)),
+        "moment_nm": _rounded(signals[:, -3:-1], 5),
+        "points_mm": _rounded(points),
+        "pairs": [
+            {
+                **asdict(pair),
+                "offset_mm": _rounded(rows.offset_mm[[pair.first, pair.second]]),
+                "patch": [patch_hex(rows.patch[i]) for i in (pair.first, pair.second)],
+                "force_n": _rounded(rows.observation[[pair.first, pair.second], :, -6:-3]),
+                "moment_nm": _rounded(rows.observation[[pair.first, pair.second], :, -3:], 5),
+                "marker_rms_px": _rms(signals[pair.first, :-6] - signals[pair.second, :-6]),
+                "force_rms_n": _rms(signals[pair.first, -6:-3] - signals[pair.second, -6:-3]),
+                "moment_rms_nm": _rms(signals[pair.first, -3:] - signals[pair.second, -3:]),
+            }
+            for pair in pairs
+        ],
+    }
 
 
-def shipped_models() -> Path:
-    """Return the folder of the models that ship."""
-    return Path(str(files("resources"))) / "models"
+def _rounded(values: FloatArray | NDArray[np.float32], digits: int = 3) -> list[Any]:
+    rounded: list[Any] = np.round(np.asarray(values, dtype=np.float64), digits).tolist()
+    return rounded
+
+
+def _rms(values: FloatArray) -> float:
+    return round(float(np.sqrt(np.mean(values**2))), 5)
 
 
 def _bench(params: Mapping[str, Any]) -> SimulationSettings:
@@ -218,4 +240,10 @@ def _finite(value: float) -> float | None:
     return round(float(value), 4) if np.isfinite(value) else None
 
 
-KINDS: Kinds = {"simulate": simulate, "train": train, "static": static, "stack": stack}
+KINDS: Kinds = {
+    "simulate": simulate,
+    "train": train,
+    "static": static,
+    "stack": stack,
+    "twins": twins,
+}

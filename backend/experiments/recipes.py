@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from hashlib import sha256
 from typing import Any, Literal
 
 from backend.config.method import TrainingSettings
@@ -60,6 +62,11 @@ class Recipe:
     code: str
     models: Mapping[tuple[str, str], str] = field(default_factory=dict)
     pieces: tuple[str, ...] = PIECES
+
+    def bench_id(self) -> str:
+        """Return the SHA-256 of the bench's settings."""
+        text = json.dumps(self.bench.model_dump(mode="json"), sort_keys=True)
+        return sha256(text.encode()).hexdigest()
 
     def jobs(self) -> list[JobSpec]:
         """Return every job once, inputs before what needs them."""
@@ -120,11 +127,35 @@ class Recipe:
             trials=self.scale.trials,
         )
 
+    def twins(self) -> JobSpec:
+        """Return the small collection whose signals are shown and searched for alike presses."""
+        return self._job(
+            "twins",
+            TRAINING_SEED,
+            piece=self.pieces[0],
+            bottom=TRAINING_BOTTOMS[0],
+            episodes=1500 if self.scale.probes else 400,
+            probes_per_grip=self.scale.probes_per_grip,
+            grips_per_mounting=self.scale.grips_per_mounting,
+        )
+
+    def effort(self, spec: JobSpec) -> int:
+        """Return how long a job takes compared with others, for the time that is left."""
+        p, scale = spec.params, self.scale
+        if spec.kind in ("simulate", "twins"):
+            return int(p["episodes"])
+        if spec.kind == "train":
+            return scale.probes * scale.epochs // 2
+        if spec.kind == "static":
+            return 5 * int(p["groups"]) * int(p["probes"]) // 2
+        return 10 * int(p["trials"])
+
     def _all(self) -> Iterator[JobSpec]:
         for piece in self.pieces:
             if self.scale.probes:
                 yield from self.data(piece)
                 yield from (self.training(piece, name) for name, _, _ in MODELS)
+        yield self.twins()
         for piece in self.pieces:
             cells = [self.static(piece, bottom) for bottom in BOTTOMS]
             for bottom in BOTTOMS:

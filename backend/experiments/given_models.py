@@ -1,0 +1,61 @@
+"""Models that exist already, put beside the results that are made from them."""
+
+from __future__ import annotations
+
+import shutil
+from importlib.resources import files
+from pathlib import Path
+
+from backend.core.faults import InputError
+from backend.experiments.recipes import MODELS
+from backend.jobs.spec import JobSpec
+from backend.jobs.store import JobStore
+from backend.learning.checkpoint import Checkpoint, card_path, load_card, load_checkpoint
+
+WEIGHTS = "model.safetensors"
+
+
+def adopt_models(store: JobStore, folder: Path) -> dict[tuple[str, str], str]:
+    """Copy every model of ``folder`` to the store; returns its id there by piece and table name.
+
+    Raises ``InputError`` for an empty folder, or two models for the same cells.
+    """
+    found: dict[tuple[str, str], str] = {}
+    for path in sorted(folder.glob("*.safetensors")):
+        card = load_card(path)
+        names = [n for n, inputs, head in MODELS if (inputs, head) == (card.modality, card.answers)]
+        if not names:
+            continue
+        key = (card.piece, names[0])
+        if key in found:
+            raise InputError(
+                f"Two models answer for {' '.join(key)}.", str(path), "Leave one of them."
+            )
+        found[key] = _adopt(store, path, card.weights_sha256)
+    if not found:
+        raise InputError("There are no models here.", str(folder), "Name a folder of models.")
+    return found
+
+
+def load_model(source: str, store: JobStore) -> Checkpoint:
+    """Return the model of job ``source``: trained by it, or adopted under this name."""
+    if not store.has(source):
+        raise InputError("There is no such model.", source, "Run the campaign from its beginning.")
+    return load_checkpoint(store.folder(source) / WEIGHTS)
+
+
+def _adopt(store: JobStore, path: Path, weights_sha256: str) -> str:
+    spec = JobSpec("model", {"weights_sha256": weights_sha256})
+    if not store.has(spec.id):
+        with store.writing(spec) as part:
+            shutil.copyfile(path, part / WEIGHTS)
+            shutil.copyfile(card_path(path), card_path(part / WEIGHTS))
+            store.finish(spec, part, {"weights_sha256": weights_sha256})
+    return spec.id
+
+
+def models_that_ship(preset: str) -> Path:
+    """Return the folder of shipped models: those trained on the bench ``preset``, else any."""
+    folder = Path(str(files("resources"))) / "models"
+    own = folder / preset
+    return own if own.is_dir() else folder

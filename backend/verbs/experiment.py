@@ -1,0 +1,159 @@
+"""``touchdown experiment``: the paper's tables on the simulated bench, as a page and as JSON."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from backend.core.faults import InputError
+from backend.verbs.screen import Screen
+
+if TYPE_CHECKING:
+    from backend.experiments.recipes import Recipe
+    from backend.jobs.executor import Executor
+    from backend.jobs.spec import JobSpec
+    from backend.jobs.store import JobStore
+
+NAME = "experiment"
+HELP = "measure the paper's three tables on the simulated bench"
+JSON_VERSION = 1
+EXECUTORS = ("serial", "local", "dask")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("what", choices=("tables",), help="the paper's Tables I to III")
+    scale = parser.add_mutually_exclusive_group()
+    scale.add_argument(
+        "--quick", dest="scale", action="store_const", const="quick", help="existing models, a few "
+        "probes and trials per cell (default)",
+    )  # fmt: skip
+    scale.add_argument(
+        "--full", dest="scale", action="store_const", const="full", help="train as the paper does; "
+        "400 places and 100 trials per cell",
+    )  # fmt: skip
+    parser.set_defaults(scale="quick")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("output/experiment"),
+        metavar="DIR",
+        help="page, JSON and jobs; an interrupted experiment goes on there (default: %(default)s)",
+    )
+    parser.add_argument("--preset", default="hard", help="preset of the bench (default: hard)")
+    parser.add_argument("--bench", type=Path, metavar="FILE", help="settings of the bench (TOML)")
+    parser.add_argument("--pieces", default="mushroom,barrel,pot", help="separated by commas")
+    parser.add_argument(
+        "--models", type=Path, metavar="DIR", help="models for --quick (default: those that ship)"
+    )
+    parser.add_argument("--executor", choices=EXECUTORS, default="local", help="default: local")
+    parser.add_argument(
+        "--workers",
+        type=int,
+        default=max(1, (os.cpu_count() or 2) - 1),
+        help="processes of the local executor (default: %(default)s)",
+    )
+    parser.add_argument("--cluster", metavar="ADDRESS", help="scheduler of the executor dask")
+    parser.add_argument("--shard", metavar="i/n", help="do every n-th job only, for batch queues")
+
+
+def run(args: argparse.Namespace, screen: Screen) -> int:
+    """Do all jobs that are not done, then write the page; 0 when no job failed."""
+    # Imported here so that `touchdown --help` starts without torch.
+    from backend.experiments.writing import write_tables
+    from backend.jobs.campaign import parse_shard, run_campaign, shard_of, startable
+    from backend.jobs.store import JobStore
+
+    if args.workers < 1:
+        raise InputError("--workers must be at least 1.", "--workers", "Give a positive number.")
+    store = JobStore(_folder(args.out) / "jobs")
+    recipe = _recipe(args, store)
+    jobs = part = recipe.jobs()
+    if args.shard:
+        part = startable(jobs, shard_of(jobs, *parse_shard(args.shard)), store)
+    effort = sum(map(recipe.effort, part))
+    failed: list[str] = []
+    done = 0
+    with screen.progress(f"{len(part)} jobs", effort) as advance:
+        by_id = {spec.id: spec for spec in part}
+        for result in run_campaign(part, _executor(args, store), store):
+            done += recipe.effort(by_id[result.id])
+            advance(done, _name(by_id[result.id]))
+            if result.state == "failed":
+                failed.append(result.id)
+                screen.say(f"{_name(by_id[result.id])} failed: {result.error.strip()}")
+    missing = sum(not store.has(spec.id) for spec in jobs)
+    page, answer = write_tables(args.out, recipe, store)
+    screen.say(f"{len(jobs) - missing} of {len(jobs)} jobs are done: {page}")
+    screen.result(
+        {
+            "version": JSON_VERSION,
+            "page": str(page),
+            "jobs": len(jobs),
+            "missing": missing,
+            "failed": failed,
+            "tables": answer,
+        }
+    )
+    return 1 if failed else 0
+
+
+def _recipe(args: argparse.Namespace, store: JobStore) -> Recipe:
+    from backend.config.simulation import load_simulation
+    from backend.experiments.given_models import adopt_models, models_that_ship
+    from backend.experiments.recipes import SCALES, Recipe
+    from backend.experiments.tables import pieces_of
+    from backend.experiments.writing import program_version
+
+    pieces = pieces_of(args.pieces)
+    if not pieces or len(pieces) != len(args.pieces.split(",")):
+        raise InputError(
+            f"'{args.pieces}' names other pieces than those of the tables.",
+            "--pieces",
+            "Name some of mushroom,barrel,pot.",
+        )
+    scale = SCALES[args.scale]
+    if args.models and scale.probes:
+        raise InputError("--full trains its own models.", "--models", "Leave it out, or --quick.")
+    bench = load_simulation(args.bench, None if args.bench else args.preset)
+    models = {}
+    if not scale.probes:
+        models = adopt_models(store, args.models or models_that_ship(bench.preset))
+    return Recipe(scale, bench, program_version(), models, pieces)
+
+
+def _executor(args: argparse.Namespace, store: JobStore) -> Executor:
+    from backend.experiments.kinds import KINDS
+    from backend.jobs.cluster import DaskCluster
+    from backend.jobs.executor import LocalPool, Serial
+
+    if args.executor == "serial":
+        return Serial(KINDS, store)
+    if args.executor == "local":
+        return LocalPool(KINDS, store, args.workers)
+    if not args.cluster:
+        raise InputError("The executor dask needs a scheduler.", "--cluster", "Give its address.")
+    return DaskCluster.at(KINDS, store, args.cluster)
+
+
+def _folder(out: Path) -> Path:
+    try:
+        (out / "jobs").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"The folder cannot be made: {error.strerror or error}.",
+            str(out),
+            "Name another folder.",
+        ) from error
+    return out
+
+
+def _name(spec: JobSpec) -> str:
+    """Say in words which job this is."""
+    p = spec.params
+    over = "+".join(p["bottoms"]) if "bottoms" in p else p.get("bottom", "")
+    training = p.get("training", {}).get("modality", "")
+    words = (spec.kind, p.get("piece", ""), over, training, p.get("strategy", ""))
+    return " ".join(word for word in words if word)

@@ -72,7 +72,7 @@ def _show(main: TouchdownApp, args: argparse.Namespace) -> None:
 
 def live_bench() -> Link:
     """Build the simulated bench with a first scene to look at (on the connecting thread)."""
-    # Imported here, on the connecting thread: the model library takes seconds to load.
+    # Imported here, on the connecting thread: the window is there meanwhile.
     from backend.assembly import simulated_session
     from backend.runs.requests import SceneChoice
     from backend.session import Keep

@@ -25,10 +25,11 @@ class Oracle:
 
     def __init__(self, bench: SimulatedBench) -> None:
         self._bench, self._points = bench, face_points(bench.scene.piece.face)
+        self.prepared: list[np.ndarray] = []
         self.asked: list[Episode] = []
 
     def prepare(self, early: np.ndarray) -> None:
-        """Nothing to prepare."""
+        self.prepared.append(early)
 
     def estimate(self, episode: Episode) -> ContactPatch:
         assert np.isfinite(episode.observation).all()

@@ -6,12 +6,14 @@ import time
 from collections.abc import Callable
 
 from app.link import Link
-from backend.devices.protocols import Arm, Device, DeviceState
+from backend.devices.protocols import Arm, Device, DeviceState, Health
 from widgets.device_chip import ChipState, ChipValue
 from widgets.freshness import Age, Freshness
 from widgets.top_bar import CHIPS, TopBar
 
 PERIOD_S = 0.25
+MUCH_LOST, LEAST_LOST = 0.02, 3
+"""Losses below this share, or fewer, stand in the tool tip only: a camera drops one in 200."""
 _STATES: dict[DeviceState, ChipState] = {
     DeviceState.CLOSED: "closed",
     DeviceState.CONNECTING: "connecting",
@@ -64,7 +66,13 @@ class ChipsPresenter:
         tip = f"{device.state.value}, {detail}; {health.received} received, {lost}"
         if who is not None:
             tip = f"{who.maker} {who.model}, serial {who.serial}\n{tip}"
-        return ChipValue(state, detail, health.lost, tip)
+        return ChipValue(state, detail, health.lost if _is_much(health) else 0, tip)
+
+
+def _is_much(health: Health) -> bool:
+    """Return whether the losses deserve a place on the chip."""
+    share = health.lost / max(1, health.received + health.lost)
+    return health.lost >= LEAST_LOST and share > MUCH_LOST
 
 
 def lost_words(count: int, noun: str) -> str:

@@ -107,9 +107,9 @@ class LivePresenter:
             panel.detail.setText("")
             return
         health = device.health
-        lost = f", {lost_words(health.lost, 'frame')}" if health.lost else ""
-        panel.detail.setToolTip("markers seen, measured rate, frames lost")
-        panel.detail.setText(f"{seen}/{total}, {health.rate_hz:.1f} Hz{lost}")
+        lost = lost_words(health.lost, "frame")
+        panel.detail.setToolTip(f"markers seen, measured rate; {lost}")
+        panel.detail.setText(f"{seen}/{total}, {health.rate_hz:.1f} Hz")
 
     def _why_silent(self, finger: Finger) -> str:
         device = self._link.devices.get(f"tactile_{finger}")

@@ -45,8 +45,14 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     outlines = {b: session.catalogue.piece(b).face.polygon() for _, b in SHOWN}
     report = out / "report.html"
     write_report(report, runs, outlines)
-    ends = [fact for facts in runs for fact in facts if isinstance(fact, TrialFinished)]
-    screen.show(trial_table(ends))
+    ended = [
+        (piece, fact)
+        for (piece, _), facts in zip(SHOWN, runs, strict=True)
+        for fact in facts
+        if isinstance(fact, TrialFinished)
+    ]
+    ends = [end for _, end in ended]
+    screen.show(trial_table(ends, [piece for piece, _ in ended]))
     screen.say(f"Report: {report}")
     screen.say(f"Play it again: touchdown replay latest --runs {out / 'runs'}")
     placed = sum(end.outcome is Outcome.PLACED for end in ends)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.table import Table
@@ -19,6 +20,7 @@ from backend.verbs.screen import Screen
 NAME = "stack"
 HELP = "stack a piece on the simulated bench, headless"
 JSON_VERSION = 1
+COLUMNS = ("outcome", "probes", "excess", "margin mm", "reason")
 INPUT_CODE = "INPUT"
 """Bad input is told once, by the command line itself."""
 
@@ -117,16 +119,17 @@ def narrate(fact: Fact, screen: Screen) -> None:
         screen.say(f"  {fact.t_s:6.2f} s  {word}: {fact.reason}")
 
 
-def trial_table(trials: list[TrialFinished]) -> Table:
-    """Return the closing table of a run."""
+def trial_table(trials: list[TrialFinished], pieces: Sequence[str] = ()) -> Table:
+    """Return the closing table of a run; ``pieces``: a first column, one per trial."""
     placed = sum(t.outcome is Outcome.PLACED for t in trials)
     table = Table(title=f"{placed} of {len(trials)} placed (simulated)")
-    for column in ("seed", "outcome", "probes", "excess", "margin mm", "reason"):
+    for column in (*(("piece",) if pieces else ()), "seed", *COLUMNS):
         table.add_column(column)
-    for t in trials:
+    for index, t in enumerate(trials):
         margin = "" if t.margin_mm is None else f"{t.margin_mm:+.2f}"
         excess = "" if t.excess_probes is None else str(t.excess_probes)
-        table.add_row(str(t.seed), t.outcome.value, str(t.probes), excess, margin, t.reason)
+        first = (*pieces[index : index + 1], str(t.seed))
+        table.add_row(*first, t.outcome.value, str(t.probes), excess, margin, t.reason)
     return table
 
 

@@ -222,16 +222,23 @@ def test_stale_by_the_windows_own_clock(live, bench):
 
 
 @pytest.mark.parametrize(
-    ("lost", "said"), [(0, "Hz"), (1, "Hz, 1 frame lost"), (3, "Hz, 3 frames lost")]
+    ("received", "lost", "shown"),
+    [(100, 0, 0), (20, 1, 0), (20, 3, 3), (1000, 20, 0), (1000, 30, 30)],
 )
-def test_lost_frames_are_not_taken_for_markers(live, bench, lost, said):
+def test_lost_frames_are_in_the_tips_and_on_the_chip_where_they_are_many(
+    live, bench, received, lost, shown
+):
+    bench.devices["tactile_left"].received = received
     bench.devices["tactile_left"].lost = lost
     bench.turn(0.04)
     live._chips._drawn_s = live.workspaces["stack"].live._headers_s = 0.0
     settle(live)
-    assert live.workspaces["stack"].page.tactile_panels["left"].detail.text().endswith(said)
+    detail = live.workspaces["stack"].page.tactile_panels["left"].detail
     noun = "frame" if lost == 1 else "frames"
+    assert detail.text().endswith(" Hz")
+    assert detail.toolTip().endswith(f"; {lost} {noun} lost")
     assert f"{lost} {noun} lost" in live.bar.chips["tactile_left"].toolTip()
+    assert live.bar.chips["tactile_left"].value.lost == shown
     assert "0 samples lost" in live.bar.chips["force_torque"].toolTip()
 
 

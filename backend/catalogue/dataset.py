@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Self
 
-from backend.catalogue import episodes, recording
+from backend.catalogue import episodes, merge, operations, queues, recording
 from backend.catalogue.backups import Backups
 from backend.catalogue.database import NAME as CATALOGUE
 from backend.catalogue.database import Database
@@ -21,8 +21,11 @@ from backend.catalogue.geometry import GeometryStore, TruePatch
 from backend.catalogue.journal import Journal
 from backend.catalogue.labels import LabelBook
 from backend.catalogue.local_disk import refuse_network
+from backend.catalogue.merge import Merged
 from backend.catalogue.recovery import reconcile
+from backend.catalogue.review import check_person
 from backend.catalogue.schema import SCHEMA_VERSION
+from backend.catalogue.scores import Scores
 from backend.catalogue.uuid7 import uuid7
 from backend.catalogue.values import (
     Content,
@@ -77,9 +80,12 @@ class Dataset:
         self.geometry = GeometryStore(folder / "geometry")
         self.journal = Journal(folder / "labels")
         self.labels = LabelBook(database, self.journal, description.site)
+        self.scores = Scores(database)
         self.backups = Backups(database, folder / "backup")
         self.backup_trouble = ""
         self.labels.after_commit = partial(self._back_up, self.backups.hourly)
+        before_bulk = partial(self.backups.if_changed, "bulk")
+        self.labels.before_bulk = partial(self._back_up, before_bulk)
 
     @classmethod
     def open(
@@ -100,7 +106,7 @@ class Dataset:
         folder.mkdir(parents=True, exist_ok=True)
         lock = WriterLock.take(folder, person) if write else None
         try:
-            description = _describe(folder) if write else _read(folder)
+            description = _describe(folder) if write else read_description(folder)
             database = Database.open(folder / CATALOGUE, write=write)
         except BaseException:
             if lock is not None:
@@ -192,6 +198,42 @@ class Dataset:
         head = self.labels.head(uuid)
         return self.geometry.patch(head.geometry, head.label)
 
+    def queue(
+        self, name: str, person: str, *, seed: int = 0, limit: int | None = None
+    ) -> list[str]:
+        """Return the episodes that ``person`` should see next, in order (``queues.queue``)."""
+        return queues.queue(self.database, name, person, seed=seed, limit=limit)
+
+    def counts(self) -> dict[str, int]:
+        """Return how many episodes are unlabelled, in review, approved, rejected, ..."""
+        return queues.counts(self.database)
+
+    def merge(self, person: str, other: Path) -> Merged:
+        """Bring in labels and episodes of another copy, which stays as it is.
+
+        Files first, rows and operations second. Raises ``InputError`` for another dataset, or a
+        chain of labels that is broken or does not fit.
+        """
+        name = check_person(person)
+        with Dataset.open(other, create=False, write=False) as theirs:
+            if theirs.description.uuid != self.description.uuid:
+                raise InputError(
+                    "This is another dataset, not a copy of the same one.",
+                    str(other),
+                    "Merge copies of one dataset; bring other data in with 'touchdown import'.",
+                )
+            self._back_up(partial(self.backups.if_changed, "merge"))
+            paths = [path for (path,) in theirs.database.rows("SELECT DISTINCT path FROM episode")]
+            missing = merge.copy_files(self.folder, other, paths)
+            with theirs.database.reading() as connection:
+                log = operations.read_operations(connection)
+            with self.labels.commit() as connection:
+                count = merge.take_rows(connection, theirs.database, self.folder, missing)
+                done = merge.take_labels(connection, log, str(other), episodes=count)
+                merge.note(connection, name, other, done)
+        self.labels.take_stock()
+        return done
+
     def people(self) -> list[str]:
         """Return the names of all who ever acted here."""
         return self.labels.people()
@@ -219,7 +261,7 @@ def _describe(folder: Path) -> Description:
     if not path.is_file():
         found = Description(uuid7(), uuid7(), home, SCHEMA_VERSION, f"touchdown {_version()}")
     else:
-        found = _read(folder)
+        found = read_description(folder)
         if found.home == home:
             return found
         found = replace(found, site=uuid7(), home=home)
@@ -230,7 +272,8 @@ def _describe(folder: Path) -> Description:
     return found
 
 
-def _read(folder: Path) -> Description:
+def read_description(folder: Path) -> Description:
+    """Return what ``dataset.json`` says; raises ``InputError`` if it cannot be read."""
     path = folder / DESCRIPTION
     try:
         content = json.loads(path.read_text("utf-8"))

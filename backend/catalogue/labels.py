@@ -53,6 +53,7 @@ class LabelBook(LabelReader):
         self.frozen = ""
         self.journal_trouble = ""
         self.after_commit: Callable[[], None] = lambda: None
+        self.before_bulk: Callable[[], None] = lambda: None
 
     # One episode
 
@@ -170,6 +171,7 @@ class LabelBook(LabelReader):
 
         Raises ``RefusedError`` and changes nothing if one of the labels changed since.
         """
+        self.before_bulk()
         with self._act(person, "bulk") as (connection, draft, name):
             bulk.fill(connection, draft, wanted, name, four_eyes=self.four_eyes)
         return len(wanted.rows)
@@ -250,10 +252,12 @@ class LabelBook(LabelReader):
                     self._stacks[person] = read_stacks(connection, person)
             return self._stacks[person]
 
-    def forget_stacks(self) -> None:
-        """Compute undo and redo anew when they are next asked for (after a merge or replay)."""
+    def take_stock(self) -> None:
+        """Follow operations that came from elsewhere (a merge): undo, redo and all journals."""
+        sites = self._database.rows("SELECT DISTINCT site FROM op")
         with self._lock:
             self._stacks.clear()
+            self._follow(*(site for (site,) in sites))
 
     # Writing
 
@@ -264,7 +268,7 @@ class LabelBook(LabelReader):
         with self._lock:
             with self._database.transaction() as connection:
                 yield connection
-            self._follow()
+            self._follow(self.site)
         self.after_commit()
 
     def refuse_if_frozen(self) -> None:
@@ -272,10 +276,11 @@ class LabelBook(LabelReader):
         if self.frozen:
             raise RefusedError("labels are read-only", self.frozen)
 
-    def _follow(self) -> None:
+    def _follow(self, *sites: str) -> None:
         try:
             with self._database.reading() as connection:
-                self._journal.catch_up(connection, self.site)
+                for site in sites:
+                    self._journal.catch_up(connection, site)
             self.journal_trouble = ""
         except OSError as error:
             # The operation is safe in the catalogue; the next append writes what is missing.

@@ -1,0 +1,145 @@
+"""What to look at next: ordered lists of episodes, each reproducible from the same labels."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from hashlib import blake2b
+from typing import Literal, get_args
+
+from backend.catalogue.database import Database
+from backend.core.faults import InputError
+
+QueueName = Literal[
+    "unlabelled",
+    "review",
+    "returned",
+    "disagreement",
+    "uncertainty",
+    "coverage",
+    "duplicates",
+    "conflicts",
+    "audit",
+]
+QUEUES: tuple[QueueName, ...] = get_args(QueueName)
+
+AUDIT_SHARE = 0.05
+"""Share of the submitted and approved labels that a random audit looks at again."""
+
+BIN_UM = 2000
+"""Coverage is counted in squares of this size, per pair of pieces."""
+
+
+def queue(
+    database: Database, name: str, person: str, *, seed: int = 0, limit: int | None = None
+) -> list[str]:
+    """Return episodes in the order in which ``person`` should see them; deleted ones in none.
+
+    - unlabelled: not yet accepted, oldest first, skipped ones last
+    - review: submitted by others; returned: the person's own that a reviewer rejected
+    - disagreement, uncertainty: highest score first; duplicates: nearest first; a label that
+      changed since it was scored is left out of the first and the last
+    - coverage: not yet approved, squares with the fewest approved labels first
+    - conflicts: two labels since a merge; audit: a share drawn by ``seed``
+    """
+    if name not in QUEUES:
+        raise InputError(f"There is no queue '{name}'.", "queue", f"Use {', '.join(QUEUES)}.")
+    return _MAKERS[name](database, person, seed, -1 if limit is None else limit)
+
+
+def counts(database: Database) -> dict[str, int]:
+    """Return how many episodes stand where: unlabelled, review, approved, rejected, ..."""
+    sql = "SELECT stage, count(*) FROM label_head GROUP BY stage ORDER BY stage"
+    return dict(database.rows(sql))
+
+
+def _ids(database: Database, sql: str, *values: object) -> list[str]:
+    return [uuid for (uuid,) in database.rows(sql, values)]
+
+
+def _stage(stage: str) -> Callable[[Database, str, int, int], list[str]]:
+    def make(database: Database, person: str, seed: int, limit: int) -> list[str]:
+        return _ids(
+            database,
+            "SELECT episode FROM label_head WHERE stage = ? ORDER BY skipped, episode LIMIT ?",
+            stage,
+            limit,
+        )
+
+    return make
+
+
+def _review(database: Database, person: str, seed: int, limit: int) -> list[str]:
+    return _ids(
+        database,
+        "SELECT episode FROM label_head WHERE stage = 'review' AND instr(authors, ?) = 0"
+        " ORDER BY skipped, episode LIMIT ?",
+        f"\n{person}\n",
+        limit,
+    )
+
+
+def _returned(database: Database, person: str, seed: int, limit: int) -> list[str]:
+    return _ids(
+        database,
+        "SELECT episode FROM label_head WHERE stage = 'rejected' AND instr(authors, ?) > 0"
+        " AND actor != ? ORDER BY skipped, episode LIMIT ?",
+        f"\n{person}\n",
+        person,
+        limit,
+    )
+
+
+def _scored(name: str, order: str, condition: str) -> Callable[..., list[str]]:
+    # Names, order and condition are those below: nothing from outside enters the text.
+    sql = (
+        "SELECT s.episode FROM score s JOIN label_head h USING (episode)"  # noqa: S608
+        f" WHERE s.name = '{name}' AND {condition} ORDER BY s.value {order}, s.episode LIMIT ?"
+    )
+
+    def make(database: Database, person: str, seed: int, limit: int) -> list[str]:
+        return _ids(database, sql, limit)
+
+    return make
+
+
+def _coverage(database: Database, person: str, seed: int, limit: int) -> list[str]:
+    rows = database.rows(
+        "SELECT h.episode, h.stage, e.piece, e.bottom, r.x_um, r.y_um FROM label_head h"
+        " JOIN label_rev r USING (rev_uuid) JOIN episode e ON e.uuid = h.episode"
+        " WHERE h.stage IN ('unlabelled', 'review', 'approved') AND r.x_um IS NOT NULL"
+        " AND r.y_um IS NOT NULL ORDER BY h.episode"
+    )
+    where = {row[0]: (row[2], row[3], row[4] // BIN_UM, row[5] // BIN_UM) for row in rows}
+    approved = Counter(where[row[0]] for row in rows if row[1] == "approved")
+    waiting = [row[0] for row in rows if row[1] != "approved"]
+    waiting.sort(key=lambda uuid: (approved[where[uuid]], uuid))
+    return waiting if limit < 0 else waiting[:limit]
+
+
+def _audit(database: Database, person: str, seed: int, limit: int) -> list[str]:
+    rows = _ids(database, "SELECT episode FROM label_head WHERE stage IN ('review', 'approved')")
+    key = seed.to_bytes(16, "little", signed=True)
+
+    def die(uuid: str) -> int:
+        return int.from_bytes(blake2b(uuid.encode(), digest_size=8, key=key).digest(), "little")
+
+    thrown = sorted((die(uuid), uuid) for uuid in rows)
+    chosen = [uuid for value, uuid in thrown if value < AUDIT_SHARE * 2**64]
+    return chosen if limit < 0 else chosen[:limit]
+
+
+_OPEN = "h.stage IN ('unlabelled', 'review')"
+_SAME_LABEL = "h.stage IN ('unlabelled', 'review', 'approved') AND h.rev_uuid = s.rev_uuid"
+
+_MAKERS: dict[str, Callable[[Database, str, int, int], list[str]]] = {
+    "unlabelled": _stage("unlabelled"),
+    "review": _review,
+    "returned": _returned,
+    "disagreement": _scored("disagreement", "DESC", _SAME_LABEL),
+    "uncertainty": _scored("uncertainty", "DESC", _OPEN),
+    "coverage": _coverage,
+    "duplicates": _scored("duplicates", "ASC", _SAME_LABEL),
+    "conflicts": _stage("conflicts"),
+    "audit": _audit,
+}

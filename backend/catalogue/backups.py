@@ -16,6 +16,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from backend.catalogue.database import NAME, Database, add_event
+from backend.catalogue.findings import QUARANTINE
 from backend.catalogue.schema import APPLICATION_ID
 from backend.core.faults import Fault, FaultError, InputError
 from backend.core.files import sync_folder
@@ -172,11 +173,17 @@ def restore(dataset: Path, backup: Path) -> Path | None:
     Raises ``InputError`` for a bad copy.
     """
     check_backup(backup)
-    stamp = datetime.now(UTC).strftime(STAMP)
-    old, aside = dataset / NAME, dataset / "quarantine" / f"catalog-{stamp}.db"
     part = dataset / f".{NAME}.tmp"
     with _explained(dataset):
         shutil.copyfile(backup, part)
+    return put_in_place(dataset, part)
+
+
+def put_in_place(dataset: Path, part: Path) -> Path | None:
+    """Make the complete file ``part`` the catalogue; return where the old one went, if any."""
+    stamp = datetime.now(UTC).strftime(STAMP)
+    old, aside = dataset / NAME, dataset / QUARANTINE / f"catalog-{stamp}.db"
+    with _explained(dataset):
         with part.open("rb+") as file:
             os.fsync(file.fileno())
         kept = old.exists()

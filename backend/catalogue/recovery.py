@@ -30,6 +30,7 @@ LEFT_OVERS = (
     ("geometry", ".*.part"),
     (".", ".*.tmp"),
     (".", ".*.part"),
+    (".", ".rebuilt.db*"),
 )
 """What a crash may leave of files that are made again anyway."""
 BUSY_S = 60.0

@@ -36,7 +36,8 @@ class Command:
 class Desk:
     """What the frame lends to its workspaces. ``runs`` is the folder of the recorded runs.
 
-    ``say`` shows a sentence in the foot, ``go`` brings a workspace to the front by name.
+    ``say`` shows a sentence in the foot, ``go`` brings a workspace to the front by name, ``keys``
+    shows the key sheet.
     """
 
     theme: Theme
@@ -44,6 +45,7 @@ class Desk:
     runs: Path
     say: Callable[[str], None]
     go: Callable[[str], None]
+    keys: Callable[[], None]
 
 
 class Workspace:

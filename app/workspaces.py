@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from app.label.workspace import LabelWorkspace
 from app.review.workspace import ReviewWorkspace
 from app.stack.workspace import StackWorkspace
 from app.workspace import Desk, Workspace
 
-WORKSPACES: tuple[Callable[[Desk], Workspace], ...] = (StackWorkspace, ReviewWorkspace)
+WORKSPACES: tuple[Callable[[Desk], Workspace], ...] = (
+    LabelWorkspace,
+    StackWorkspace,
+    ReviewWorkspace,
+)
 FIRST = "stack"
 """In front at the first start."""

@@ -47,7 +47,7 @@ class ChoiceBar(QFrame):
         for at, (key, word) in enumerate(choices):
             button = QPushButton(f"{key}   {word}")
             button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-            button.clicked.connect(lambda _=False, key=key: self._take(key))
+            button.clicked.connect(lambda _=False, key=key: self.take(key))
             self._grid.addWidget(button, at // 3, at % 3)
         self.adjustSize()
         parent = self.parentWidget()
@@ -69,7 +69,7 @@ class ChoiceBar(QFrame):
         if event.key() == Qt.Key.Key_Escape:
             self.leave()
         else:
-            self._take(event.text().upper())
+            self.take(event.text().upper())
 
     def focusOutEvent(self, event: QFocusEvent) -> None:
         """Whoever turns to something else has answered nothing."""
@@ -83,7 +83,8 @@ class ChoiceBar(QFrame):
         if self._before is not None:
             self._before.setFocus()
 
-    def _take(self, key: str) -> None:
+    def take(self, key: str) -> None:
+        """Answer with a key; any other key is no answer."""
         if key in self._choices:
             word, answer = self._choices[key], self._answer
             self.leave()

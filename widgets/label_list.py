@@ -130,8 +130,8 @@ class _RowPainter(QStyledItemDelegate):
         if not isinstance(row, LabelRow):
             return
         painter.save()
-        box = QRectF(option.rect)  # type: ignore[attr-defined]
-        chosen = bool(option.state & QStyle.StateFlag.State_Selected)  # type: ignore[attr-defined]
+        box = QRectF(option.rect)
+        chosen = bool(option.state & QStyle.StateFlag.State_Selected)
         t = self._theme.tokens
         if chosen:
             painter.fillRect(box, t.colour("selection"))

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from app.label.post import Post
-from backend.core.faults import TouchdownError
 
 Result = TypeVar("Result")
 
@@ -56,15 +55,13 @@ class Commits:
             self._do(job)
 
     def _do(self, job: _Job) -> None:
-        failure: Exception = RuntimeError("an error that nobody expected")
         try:
             result = job.work()
-        except (TouchdownError, OSError, ValueError, LookupError, RuntimeError) as error:
+        except Exception as error:  # noqa: BLE001 - a save whose end nobody tells blocks the page
             failure = error
+            self._post.put(lambda: self._tell(job.failed, failure))
         else:
             self._post.put(lambda: self._tell(job.done, result))
-            return
-        self._post.put(lambda: self._tell(job.failed, failure))
 
     def _tell(self, tell: Callable[[Any], None], what: object) -> None:
         self._waiting -= 1

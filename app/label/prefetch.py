@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from typing import Generic, TypeVar
 
 from app.label.post import Post
-from backend.core.faults import TouchdownError
 
 AHEAD = 3
 """So many episodes before and after the present one are kept ready."""
@@ -71,7 +70,7 @@ class Prefetch(Generic[Item]):
             item: Item | Exception
             try:
                 item = self._read(uuid)
-            except (TouchdownError, OSError, ValueError, LookupError, RuntimeError) as error:
+            except Exception as error:  # noqa: BLE001 - one bad episode must not end the reading
                 item = error
             with self._changed:
                 self._items[uuid] = item

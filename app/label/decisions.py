@@ -1,0 +1,200 @@
+"""What a person decides about the episode in front: accept, approve, reject, mark, undo."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from app.label.page import LabelPage
+from app.label.presenter import LabelPresenter
+from backend.catalogue.review import REJECT_REASONS
+from backend.catalogue.values import Operation, Verdict
+
+REVIEWING = ("review", "audit")
+"""Queues in which Enter approves."""
+VERDICTS: tuple[tuple[str, str], ...] = (("S", "stable"), ("U", "unstable"), ("?", "unsure"))
+
+
+class Decisions:
+    """Keys that end in one operation on the dataset."""
+
+    def __init__(self, page: LabelPage, presenter: LabelPresenter) -> None:
+        self._page, self._on = page, presenter
+
+    def enter(self) -> None:
+        """Accept (approve, while reviewing) and go on; save again what could not be saved."""
+        if self._on.saving.trouble is not None:
+            self._on.saving.try_again()
+        else:
+            self._on.do(self._accept)
+
+    def _accept(self) -> None:
+        now, sitting = self._on.present, self._on.sitting
+        if now is None:
+            return
+        if sitting.queue in REVIEWING and now.edit.base.state != "draft" and not now.edit.changed:
+            self._approve()
+            return
+        model = now.item.model
+        if not now.edit.label.is_set and model is not None and not sitting.hides:
+            fit = model.fit
+            now.edit = now.edit.estimated(*fit.offset_mm, fit.sigma_mm, model.source)
+        if not now.edit.label.is_set:
+            self._on.refuse("There is no displacement yet: type one as x,y, or nudge.")
+            return
+        self._on.trusted(self._submit)
+
+    def _submit(self) -> None:
+        now, book, person = self._on.present, self._on.book, self._on.sitting.person
+        if now is None:
+            return
+        uuid, edit, looked = now.item.entry.uuid, now.edit, self._on.looked()
+        source = edit.source if edit.changed else None
+        self._on.saving.save(
+            lambda: book.accept(person, uuid, edit.label, source=source, looked=looked),
+            self._then_next,
+        )
+
+    def _approve(self) -> None:
+        now, book, person = self._on.present, self._on.book, self._on.sitting.person
+        if now is not None:
+            uuid, looked = now.item.entry.uuid, self._on.looked()
+            self._on.saving.save(lambda: book.approve(person, uuid, looked=looked), self._then_next)
+
+    def _then_next(self, _: object) -> None:
+        self._on.reload()
+        self._on.go_on()
+
+    def reject(self) -> None:
+        """Ask for the reason by one digit, then reject and go on."""
+        choices = [(str(n), word) for n, word in enumerate(REJECT_REASONS, start=1)]
+        self._ask("Reject because of", choices, self._reject_because)
+
+    def _reject_because(self, word: str) -> None:
+        if word == REJECT_REASONS[-1]:
+            self._page.ask_words("Reason", "", self._reject)
+        else:
+            self._reject(word)
+
+    def _reject(self, reason: str) -> None:
+        self._with_present(
+            lambda person, uuid: self._on.book.reject(
+                person, uuid, reason, looked=self._on.looked()
+            ),
+            self._then_next,
+        )
+
+    def flag(self) -> None:
+        """Set the flag or take it off."""
+        now = self._on.present
+        if now is not None:
+            wanted = not self._on.walk.entries[now.item.entry.uuid].flagged
+            self._with_present(lambda person, uuid: self._on.book.flag(person, uuid, wanted))
+
+    def verdict(self) -> None:
+        """Ask what the person thinks of the piece; the displacement keeps its source."""
+        self._ask("Would it stand? Your verdict", VERDICTS, self._say_verdict)
+
+    def _say_verdict(self, word: str) -> None:
+        said: dict[str, Verdict] = {"stable": "stable", "unstable": "unstable", "unsure": "unsure"}
+        now = self._on.present
+        if now is not None:
+            label = now.edit.base.label
+            self._with_present(
+                lambda person, uuid: self._on.book.set(person, uuid, label, verdict=said[word])
+            )
+
+    def take_over(self) -> None:
+        """Make another's draft one's own."""
+        self._with_present(self._on.book.take_over)
+
+    def restore(self, rev_uuid: str) -> None:
+        """Bring an old version back as a new one."""
+        self._with_present(
+            lambda person, uuid: self._on.book.restore_revision(person, uuid, rev_uuid)
+        )
+
+    def delete(self) -> None:
+        """Ask why, then hide the episode; undo brings it back."""
+        self._page.ask_words("Delete the episode because", "", self._delete)
+
+    def _delete(self, reason: str) -> None:
+        self._with_present(
+            lambda person, uuid: self._on.book.delete(person, uuid, reason), self._then_next
+        )
+
+    def resolve(self) -> None:
+        """Let the chosen version of a conflict hold."""
+        now = self._on.present
+        if now is None:
+            return
+        leaves = self._on.book.conflicting(now.item.entry.uuid)
+        if len(leaves) < 2:
+            self._page.say("There is no conflict here.", bad=True)
+            return
+        words = {f"{leaf.person}, {leaf.state}, {k}": leaf for k, leaf in enumerate(leaves, 1)}
+        choices = [(str(n), word) for n, word in enumerate(words, start=1)]
+
+        def take(word: str) -> None:
+            rev_uuid = words[word].rev_uuid
+            self._with_present(lambda person, uuid: self._on.book.resolve(person, uuid, rev_uuid))
+
+        self._ask("Which label holds?", choices[:9], take)
+
+    def undo(self) -> None:
+        """Take back the person's last action, whatever it was and whenever."""
+        person, book = self._on.sitting.person, self._on.book
+        self._on.flushed(lambda: self._on.saving.save(lambda: book.undo(person), self._undone))
+
+    def redo(self) -> None:
+        """Take back the last undo."""
+        person, book = self._on.sitting.person, self._on.book
+        self._on.flushed(lambda: self._on.saving.save(lambda: book.redo(person), self._undone))
+
+    def _undone(self, operation: Operation | None) -> None:
+        if operation is None:
+            self._page.say("There is nothing to take back.")
+            return
+        touched = episodes_of(operation)
+        for uuid in touched:
+            if uuid in self._on.walk.entries:
+                self._on.walk.note(self._on.dataset.entry(uuid))
+        here = self._on.present.item.entry.uuid if self._on.present is not None else ""
+        places = [at for uuid in touched if (at := self._on.walk.find(uuid)) >= 0]
+        word = "Undone" if operation.verb == "undo" else "Done again"
+        many = "" if len(touched) == 1 else f" on {len(touched)} episodes"
+        if here in touched or not places:
+            self._on.reload()
+        else:
+            self._on.show_at(places[0])
+        self._page.say(f"{word}{many}.")
+
+    def _with_present(
+        self,
+        work: Callable[[str, str], Any],
+        done: Callable[[Any], None] | None = None,
+    ) -> None:
+        """Save what ``work`` (person, episode) does, after the edit was saved."""
+        finish = done or (lambda _: self._on.reload())
+
+        def begin() -> None:
+            now, person = self._on.present, self._on.sitting.person
+            if now is not None:
+                uuid = now.item.entry.uuid
+                self._on.saving.save(lambda: work(person, uuid), finish)
+
+        self._on.flushed(begin)
+
+    def _ask(
+        self, title: str, choices: list[tuple[str, str]] | tuple[tuple[str, str], ...],
+        answer: Callable[[str], None],
+    ) -> None:  # fmt: skip
+        if self._on.saving.trouble is None:
+            self._on.saving.after(lambda: self._page.choice.ask(title, choices, answer))
+
+
+def episodes_of(operation: Operation) -> list[str]:
+    """Return the episodes that an operation touched."""
+    body: Any = operation.body
+    parts = [*body.get("revs", ()), *body.get("marks", ())]
+    return list(dict.fromkeys(str(part["episode"]) for part in parts))

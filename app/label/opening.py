@@ -1,0 +1,47 @@
+"""Open the dataset that the window works on: to write if possible, else to look at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from app.label.prelabel import Prelabeller
+from backend.assembly import shipped_model
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.writer_lock import DatasetInUseError
+from backend.core.faults import InputError
+from backend.objects.catalogue import load_catalogue
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """``read_only``: why nothing can be saved ("" if it can)."""
+
+    dataset: Dataset
+    prelabel: Prelabeller
+    read_only: str
+
+
+def opener(folder: Path, person: str) -> Callable[[], Opened]:
+    """Return what opens ``folder``; it may take a while and runs on a thread of its own."""
+
+    def open_dataset() -> Opened:
+        read_only = ""
+        try:
+            dataset = Dataset.open(folder, person=person)
+        except DatasetInUseError as error:
+            dataset, read_only = Dataset.open(folder, write=False), str(error.what)
+        if not read_only and not dataset.writable:
+            read_only = "The dataset was written by a newer version."
+        return Opened(dataset, Prelabeller(load_catalogue(), model_of), read_only)
+
+    return open_dataset
+
+
+def model_of(piece: str) -> Path | None:
+    """Return the model that ships for ``piece``, or None."""
+    try:
+        return shipped_model(piece)
+    except InputError:
+        return None

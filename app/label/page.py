@@ -1,0 +1,254 @@
+"""Where everything of the label half stands. No logic."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from PySide6.QtCore import QEvent, Qt
+from PySide6.QtGui import QKeyEvent
+from PySide6.QtWidgets import (
+    QComboBox,
+    QHBoxLayout,
+    QLineEdit,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from app.label.side import SideTabs
+from app.label.words import QUEUES
+from widgets.choice_bar import ChoiceBar
+from widgets.elided import ElidedLabel
+from widgets.film import Film
+from widgets.label_list import LabelList
+from widgets.offset_scene import Point
+from widgets.offset_view import OffsetView
+from widgets.panel import Panel
+from widgets.phase_plot import PhasePlot
+from widgets.recorded_traces import NAMES, RecordedTraces
+from widgets.state_strip import StateStrip
+from widgets.theme import Theme
+from widgets.unsaved_banner import UnsavedBanner
+
+FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
+PAIRS = [(a, b) for a in range(6) for b in range(a + 1, 6)]
+
+
+@dataclass(frozen=True, slots=True)
+class LabelIntents:
+    """What the page asks for; each returns at once."""
+
+    choose_row: Callable[[int], None]
+    choose_queue: Callable[[str], None]
+    move: Callable[[Point], None]
+    drop: Callable[[], None]
+    seek: Callable[[float], None]
+    restore: Callable[[str], None]
+    typed: Callable[[str], None]
+    key: Callable[[str], None]
+    again: Callable[[], None]
+    discard: Callable[[], None]
+    search: Callable[[str], None]
+    person: Callable[[], None]
+    tab: Callable[[int], None]
+
+
+class Entry(QLineEdit):
+    """One line to type: Enter takes it, Esc leaves; while it has the focus no other key acts."""
+
+    def __init__(
+        self, name: str, hint: str, typed: Callable[[str], None], leave: Callable[[], None]
+    ) -> None:
+        super().__init__()
+        self._typed, self._leave = typed, leave
+        self.setAccessibleName(name)
+        self.setPlaceholderText(hint)
+        self.hide()
+
+    def event(self, event: QEvent) -> bool:
+        """Claim Enter and Esc before the shortcuts of the page do."""
+        if event.type() is QEvent.Type.ShortcutOverride and isinstance(event, QKeyEvent):
+            enter = (Qt.Key.Key_Return, Qt.Key.Key_Enter, Qt.Key.Key_Escape)
+            if event.key() in enter:
+                event.accept()
+                return True
+        return bool(super().event(event))
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Set or leave."""
+        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
+            self._typed(self.text())
+        elif event.key() == Qt.Key.Key_Escape:
+            self._leave()
+        else:
+            super().keyPressEvent(event)
+
+
+class LabelPage(QWidget):
+    """Queue on the left, the displacement in the middle, the evidence on the right."""
+
+    def __init__(self, theme: Theme, intents: LabelIntents) -> None:
+        super().__init__()
+        self.setObjectName("frame")
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self._intents = intents
+        self.queue = QComboBox()
+        for name, text in QUEUES:
+            self.queue.addItem(text, name)
+        self.queue.setAccessibleName("Queue")
+        self.list = LabelList(theme, intents.choose_row)
+        self.side = SideTabs(intents.restore, intents.search, intents.tab)
+        self.strip = StateStrip(theme)
+        self.view = OffsetView(theme, intents.move, intents.drop)
+        self.verdict, self.basis = ElidedLabel("head"), ElidedLabel("muted")
+        self.model_line = ElidedLabel("muted")
+        self.message = ElidedLabel("")
+        self.entry = Entry("Displacement x,y in mm", "x,y in mm: Enter sets, Esc leaves",
+                           intents.typed, self.leave_entry)  # fmt: skip
+        self.words = Entry("Words", "", self._take_words, self.leave_entry)
+        self._answer: Callable[[str], None] = _nothing
+        self.banner = UnsavedBanner(intents.again, intents.discard)
+        self.film = Film(theme, intents.seek)
+        self.forces = RecordedTraces(theme, FORCES, intents.seek)
+        self.moments = RecordedTraces(theme, MOMENTS, intents.seek)
+        self.phase = PhasePlot(theme)
+        self.curves = QComboBox()
+        self.curves.setProperty("role", "compact")
+        self.curves.setAccessibleName("Curves on one axis")
+        self.curves.addItem("Forces, moments")
+        self.curves.addItems([f"{NAMES[a]} with {NAMES[b]}" for a, b in PAIRS])
+        self.person = QPushButton("nobody")
+        self.person.setToolTip("Who labels (Ctrl+U)")
+        self.choice = ChoiceBar(self)
+        self.queue.activated.connect(self._queue_chosen)
+        self.curves.activated.connect(self._curves_chosen)
+        self.person.clicked.connect(intents.person)
+        self._arrange()
+
+    def _arrange(self) -> None:
+        row = QHBoxLayout(self)
+        row.setContentsMargins(10, 8, 10, 8)
+        row.setSpacing(8)
+        row.addLayout(self._left(), 6)
+        row.addLayout(self._middle(), 11)
+        row.addLayout(self._right(), 10)
+
+    def _left(self) -> QVBoxLayout:
+        self.queue_panel = Panel("Queue", self.list)
+        self.queue_panel.column.insertWidget(1, self.queue)
+        column = QVBoxLayout()
+        column.setSpacing(8)
+        column.addWidget(self.queue_panel, 5)
+        column.addWidget(self.side, 4)
+        return column
+
+    def _middle(self) -> QVBoxLayout:
+        self.view_panel = Panel("Displacement", self.view)
+        self.view_panel.header.addWidget(self.person)
+        inner = self.view_panel.column
+        inner.insertWidget(1, self.strip)
+        for widget in (
+            self.verdict,
+            self.basis,
+            self.model_line,
+            self.entry,
+            self.words,
+            self.message,
+        ):
+            inner.addWidget(widget)
+        column = QVBoxLayout()
+        column.setSpacing(8)
+        column.addWidget(self.banner)
+        column.addWidget(self.view_panel, 1)
+        return column
+
+    def _right(self) -> QVBoxLayout:
+        film = Panel("Tactile film", self.film)
+        self.film_panel = film
+        curves = Panel("Wrench")
+        self.wrench_panel = curves
+        curves.header.addWidget(self.curves)
+        plots = QVBoxLayout()
+        plots.setSpacing(2)
+        plots.addWidget(self.forces, 1)
+        plots.addWidget(self.moments, 1)
+        both = QHBoxLayout()
+        both.addLayout(plots, 3)
+        both.addWidget(self.phase, 2)
+        curves.column.addLayout(both, 1)
+        column = QVBoxLayout()
+        column.setSpacing(8)
+        column.addWidget(film)
+        column.addWidget(curves, 1)
+        return column
+
+    def show_cursor(self, t_s: float) -> None:
+        """Move the cursor of every view."""
+        self.film.show_cursor(t_s)
+        for view in (self.forces, self.moments, self.phase):
+            view.show_cursor(t_s)
+        self.film_panel.detail.setText(f"{t_s:+.2f} s".replace("-", "\N{MINUS SIGN}"))
+
+    def open_entry(self, first: str) -> None:
+        """Begin to type a displacement."""
+        if not self.entry.isVisible():
+            self.entry.clear()
+            self.entry.show()
+        self.entry.setFocus()
+        self.entry.insert(first)
+
+    def ask_words(self, hint: str, first: str, answer: Callable[[str], None]) -> None:
+        """Ask for words; an empty line is no answer."""
+        self._answer = answer
+        self.words.setPlaceholderText(f"{hint}: Enter takes it, Esc leaves")
+        self.words.setText(first)
+        self.words.selectAll()
+        self.words.show()
+        self.words.setFocus()
+
+    def _take_words(self, text: str) -> None:
+        if text.strip():
+            self.leave_entry()
+            self._answer(text.strip())
+
+    def leave_entry(self) -> None:
+        """Stop typing."""
+        self.entry.hide()
+        self.words.hide()
+        self.setFocus()
+
+    def say(self, text: str, *, bad: bool = False) -> None:
+        """Show one sentence below the view; ``bad``: something was refused."""
+        self.message.setProperty("tone", "bad" if bad else "")
+        self.message.style().unpolish(self.message)
+        self.message.style().polish(self.message)
+        self.message.setText(text)
+        self.message.setToolTip(text)
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Hand over what can begin a typed displacement, and Space."""
+        firm = event.modifiers() & ~(
+            Qt.KeyboardModifier.ShiftModifier | Qt.KeyboardModifier.KeypadModifier
+        )
+        text = event.text()
+        if text and text in "0123456789.,-+ " and not firm:
+            self._intents.key(text)
+        else:
+            super().keyPressEvent(event)
+
+    def _queue_chosen(self, at: int) -> None:
+        self._intents.choose_queue(str(self.queue.itemData(at)))
+        self.setFocus()
+
+    def _curves_chosen(self, at: int) -> None:
+        if at == 0:
+            self.forces.show_channels(FORCES)
+        else:
+            self.forces.show_channels(PAIRS[at - 1])
+        self.moments.setVisible(at == 0)
+        self.setFocus()
+
+
+def _nothing(_text: str) -> None:
+    """Do nothing: nothing was asked."""

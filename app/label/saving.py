@@ -1,0 +1,100 @@
+"""What is saved, what is being saved, and what could not be: the next step waits for it.
+
+Whatever is asked for while a save is under way is done after it, in the order in which it was
+asked: keys are never lost and never overtake each other.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+from app.label.commits import Commits
+from backend.core.faults import FaultError, RefusedError, TouchdownError
+
+Intent = Callable[[], None]
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """A save that failed: ``what`` happened in words, and how to try again."""
+
+    what: str
+    again: Intent
+
+
+class Saving:
+    """Orders saves and intents. ``refused`` gets the reason where a change is not allowed."""
+
+    def __init__(
+        self, commits: Commits, refused: Callable[[str], None], changed: Callable[[], None]
+    ) -> None:
+        self._commits, self._refused, self._changed = commits, refused, changed
+        self._intents: deque[Intent] = deque()
+        self._draining = self._held = False
+        self.trouble: Trouble | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a save is under way, or the present episode is not there yet."""
+        return self._held or self._commits.busy
+
+    def hold(self, held: bool) -> None:
+        """Let intents wait (the next episode is still being read), or go on."""
+        self._held = held
+        self._drain()
+
+    def after(self, intent: Intent) -> None:
+        """Do ``intent`` now, or after the saves that are under way."""
+        self._intents.append(intent)
+        self._drain()
+
+    def save(self, work: Callable[[], Result], done: Callable[[Result], None]) -> None:
+        """Have ``work`` done on the thread of the saves; ``done`` follows if it succeeded."""
+
+        def succeeded(result: Result) -> None:
+            self.trouble = None
+            done(result)
+            self._changed()
+            self._drain()
+
+        def failed(error: Exception) -> None:
+            self._intents.clear()
+            if isinstance(error, RefusedError):
+                self._refused(error.detail)
+            else:
+                self.trouble = Trouble(_words(error), lambda: self.save(work, done))
+            self._changed()
+
+        self._commits.submit(work, succeeded, failed)
+        self._changed()
+
+    def try_again(self) -> None:
+        """Save once more what could not be saved."""
+        trouble, self.trouble = self.trouble, None
+        if trouble is not None:
+            trouble.again()
+
+    def discard(self) -> None:
+        """Give up what could not be saved."""
+        self.trouble = None
+        self._changed()
+
+    def _drain(self) -> None:
+        if self._draining:
+            return
+        self._draining = True
+        try:
+            while self._intents and not self.busy:
+                self._intents.popleft()()
+        finally:
+            self._draining = False
+
+
+def _words(error: Exception) -> str:
+    if isinstance(error, FaultError):
+        return f"{error.fault.what} {error.fault.next_step}"
+    return str(error) if isinstance(error, TouchdownError) else f"{type(error).__name__}: {error}"

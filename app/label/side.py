@@ -1,0 +1,89 @@
+"""Beside the queue: versions of this label, agreement of people, and the log of all actions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from PySide6.QtWidgets import (
+    QButtonGroup,
+    QHBoxLayout,
+    QLineEdit,
+    QListWidget,
+    QPushButton,
+    QStackedWidget,
+    QVBoxLayout,
+    QWidget,
+)
+
+from widgets.history_list import HistoryList
+from widgets.panel import Panel, label
+
+TABS = ("History", "Agreement", "Log")
+
+
+class SideTabs(Panel):
+    """Three views in one place; ``search`` is told what to look for in the log."""
+
+    def __init__(
+        self,
+        restore: Callable[[str], None],
+        search: Callable[[str], None],
+        entered: Callable[[int], None],
+    ) -> None:
+        super().__init__("")
+        self.history = HistoryList(restore)
+        self.agreement = label("", wrap=True)
+        self.log, self.needle = QListWidget(), QLineEdit()
+        self.log.setWordWrap(True)
+        self.log.setAccessibleName("Log of all actions")
+        self.needle.setPlaceholderText("Search person, action, episode")
+        self.needle.setAccessibleName("Search the log")
+        self.needle.textChanged.connect(search)
+        self._stack = QStackedWidget()
+        log = QWidget()
+        column = QVBoxLayout(log)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.addWidget(self.needle)
+        column.addWidget(self.log, 1)
+        for page in (self.history, _top(self.agreement), log):
+            self._stack.addWidget(page)
+        self.column.addWidget(self._stack, 1)
+        self._buttons = QButtonGroup(self)
+        row = QHBoxLayout()
+        row.setSpacing(4)
+        for number, name in enumerate(TABS):
+            button = QPushButton(name)
+            button.setCheckable(True)
+            button.setProperty("role", "tab")
+            self._buttons.addButton(button, number)
+            row.addWidget(button)
+        row.addStretch(1)
+        self.column.insertLayout(0, row)
+        self._buttons.idClicked.connect(self.choose)
+        self.choose(0)
+        self._buttons.idClicked.connect(entered)
+
+    def choose(self, tab: int) -> None:
+        """Bring one view to the front."""
+        self._stack.setCurrentIndex(tab)
+        self._buttons.button(tab).setChecked(True)
+
+    @property
+    def tab(self) -> int:
+        """Which view is in front."""
+        return self._stack.currentIndex()
+
+    def show_log(self, lines: Sequence[str]) -> None:
+        """Show operations, newest first."""
+        self.log.clear()
+        self.log.addItems(list(lines))
+
+
+def _top(widget: QWidget) -> QWidget:
+    """Keep a text at the top of its place."""
+    holder = QWidget()
+    column = QVBoxLayout(holder)
+    column.setContentsMargins(0, 0, 0, 0)
+    column.addWidget(widget)
+    column.addStretch(1)
+    return holder

@@ -1,0 +1,85 @@
+"""The way through one queue: what comes in which order, where we are, what is ready to be shown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from app.label.item import LabelItem
+from app.label.prefetch import Prefetch, around
+from app.label.words import row_of
+from backend.catalogue import queues
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.values import EpisodeEntry
+from backend.core.faults import InputError
+from widgets.label_list import LabelList, LabelRow
+
+Queue = tuple[list[str], dict[str, EpisodeEntry]]
+
+
+def read_queue(dataset: Dataset, name: str, person: str, seed: int = 0) -> Queue:
+    """Return the ids of a queue in its order, and their entries; slow, not for the window."""
+    order = queues.queue(dataset.database, name, person, seed=seed)
+    entries = {entry.uuid: entry for entry in dataset.episodes()}
+    return [uuid for uuid in order if uuid in entries], entries
+
+
+class Walk:
+    """Keeps list, order and prefetch in step. The order stays as it was when it was read."""
+
+    def __init__(self, rows: LabelList, prefetch: Prefetch[LabelItem]) -> None:
+        self._rows, self._prefetch = rows, prefetch
+        self.order: list[str] = []
+        self.entries: dict[str, EpisodeEntry] = {}
+        self.badges: dict[str, tuple[str, ...]] = {}
+        self.at = -1
+
+    @property
+    def uuid(self) -> str | None:
+        """The present episode."""
+        return self.order[self.at] if 0 <= self.at < len(self.order) else None
+
+    def begin(self, order: Sequence[str], entries: Mapping[str, EpisodeEntry], stay: str) -> None:
+        """Take a queue; begin with ``stay`` if it is in it, else with the first."""
+        self.order, self.entries = list(order), dict(entries)
+        self._rows.show_rows([self._row(uuid) for uuid in self.order])
+        self.at = self.order.index(stay) if stay in self.order else (0 if self.order else -1)
+        self._want()
+
+    def move_to(self, at: int) -> bool:
+        """Go to a place; False if there is none."""
+        if not 0 <= at < len(self.order):
+            return False
+        self.at = at
+        self._want()
+        return True
+
+    def find(self, uuid: str) -> int:
+        """Return the place of an episode, -1 if it is not in this queue."""
+        return self.order.index(uuid) if uuid in self.order else -1
+
+    def ready(self) -> LabelItem | Exception | None:
+        """Return the present item, why it cannot be read, or None while it is being read."""
+        uuid = self.uuid
+        return InputError("The queue is empty.", "queue", "Choose another.") if uuid is None else (
+            self._prefetch.get(uuid)
+        )  # fmt: skip
+
+    def note(self, entry: EpisodeEntry, badges: tuple[str, ...] | None = None) -> None:
+        """Take what is new of an episode, and show its row anew."""
+        self.entries[entry.uuid] = entry
+        if badges is not None:
+            self.badges[entry.uuid] = badges
+        at = self.find(entry.uuid)
+        if at >= 0:
+            self._rows.show_row(at, self._row(entry.uuid))
+
+    def _row(self, uuid: str) -> LabelRow:
+        entry = self.entries[uuid]
+        return row_of(entry, entry.state, self.badges.get(uuid, ()))
+
+    def _want(self) -> None:
+        if self.at >= 0:
+            self._prefetch.want(around(self.order, self.at))
+            self._rows.choose(self.at)
+        else:
+            self._prefetch.want(())

@@ -1,0 +1,120 @@
+"""Labels, revisions and queues in words, as the page shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Any
+
+from backend.catalogue.values import EpisodeEntry, Label, LabelState, Operation, Revision, Source
+from widgets.history_list import HistoryRow
+from widgets.label_list import LabelRow
+from widgets.offset_scene import offset_in_words
+
+QUEUES: tuple[tuple[str, str], ...] = (
+    ("unlabelled", "Unlabelled and drafts"),
+    ("review", "Waiting for review"),
+    ("returned", "Rejected, to correct"),
+    ("disagreement", "Disagreement with the model"),
+    ("uncertainty", "Model is unsure"),
+    ("coverage", "Holes in the coverage"),
+    ("duplicates", "Alike signals, other labels"),
+    ("conflicts", "Conflicts after a merge"),
+    ("audit", "Random audit"),
+)
+
+
+def source_words(source: Source) -> str:
+    """Return a source for people; a model is named by the start of its weights' hash."""
+    kind, _, weights = source.partition(":")
+    return f"model {weights[:8]}" if kind == "model" else kind
+
+
+def rests_on(revision: Revision) -> str:
+    """Say what a label rests on, and how sure that is."""
+    if not revision.label.is_set:
+        return "nobody has said yet where the face was"
+    sigma = revision.label.sigma_um
+    spread = "uncertainty not told" if sigma is None else f"sigma {sigma / 1e3:.2f} mm"
+    kind = revision.source.partition(":")[0]
+    basis = {
+        "commanded": "commanded displacement",
+        "measured": "measured displacement",
+        "human": f"set by {revision.person}",
+        "model": f"{source_words(revision.source)} alone",
+    }.get(kind, revision.source)
+    return f"{basis}, {spread}"
+
+
+def clock(at_ns: int) -> str:
+    """Return the local time of day."""
+    return f"{datetime.fromtimestamp(at_ns / 1e9):%H:%M:%S}"
+
+
+def label_words(label: Label) -> str:
+    """Return a label for people."""
+    if not label.is_set:
+        return "no displacement"
+    x, y = label.offset_mm.tolist()
+    return offset_in_words((x, y), (label.sigma_um or 0) / 1e3)
+
+
+def history_rows(revisions: Sequence[Revision], head: Revision) -> list[HistoryRow]:
+    """Return all versions, newest first, each with what it changed."""
+    rows = []
+    for number, revision in enumerate(revisions, start=1):
+        before = revisions[number - 2] if number > 1 else None
+        when = f"{datetime.fromtimestamp(revision.at_ns / 1e9):%Y-%m-%d %H:%M:%S}"
+        reason = f" ({revision.reason})" if revision.reason else ""
+        what = f"{revision.state}{reason}: {label_words(revision.label)}"
+        who = f"{revision.person}, {source_words(revision.source)}, {when}"
+        holds = revision.rev_uuid == head.rev_uuid
+        rows.append(
+            HistoryRow(revision.rev_uuid, number, what, who, difference(before, revision), holds)
+        )
+    return rows[::-1]
+
+
+def difference(before: Revision | None, after: Revision) -> str:
+    """Return what a revision changed against the one before it."""
+    if before is None:
+        return ""
+    parts = []
+    if before.label.is_set and after.label.is_set:
+        dx, dy = (after.label.offset_mm - before.label.offset_mm).tolist()
+        if dx or dy:
+            parts.append(f"moved {offset_in_words((dx, dy))}")
+    if before.source != after.source:
+        parts.append(f"{source_words(before.source)} to {source_words(after.source)}")
+    if before.verdict != after.verdict:
+        parts.append(f"verdict {after.verdict or 'none'}")
+    if before.geometry != after.geometry:
+        parts.append("other geometry")
+    return "; ".join(parts)
+
+
+def row_of(entry: EpisodeEntry, state: LabelState, badges: Sequence[str] = ()) -> LabelRow:
+    """Return the row of an episode in the queue."""
+    when = f"{datetime.fromtimestamp(entry.recorded_ns / 1e9):%d %b %H:%M:%S}"
+    marks = [
+        word
+        for word, holds in (
+            ("flag", entry.flagged),
+            ("conflict", entry.conflict),
+            ("refused by quality", not entry.quality.accepted),
+            (entry.file_state, entry.file_state != "complete"),
+        )
+        if holds
+    ]
+    title = f"{entry.piece} on {entry.bottom}"
+    return LabelRow(entry.uuid, title, when, state, (*marks, *badges))
+
+
+def operation_words(operation: Operation) -> str:
+    """Return one action as the log shows it."""
+    body: Any = operation.body
+    episodes = {part["episode"] for part in (*body.get("revs", ()), *body.get("marks", ()))}
+    what = operation.verb.removeprefix("label.").replace("_", " ")
+    which = f"{len(episodes)} episodes" if len(episodes) != 1 else f"…{min(episodes)[-8:]}"
+    when = f"{datetime.fromtimestamp(operation.at_ns / 1e9):%Y-%m-%d %H:%M:%S}"
+    return f"{when}  {operation.actor}: {what}, {which}"

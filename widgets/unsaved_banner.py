@@ -1,0 +1,33 @@
+"""A label that could not be saved: said where nobody can miss it, until saved or discarded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton
+
+from widgets.panel import label
+
+
+class UnsavedBanner(QFrame):
+    """Shown only while something is unsaved."""
+
+    def __init__(self, again: Callable[[], None], discard: Callable[[], None]) -> None:
+        super().__init__()
+        self.setProperty("role", "fault")
+        self.setAccessibleName("Unsaved label")
+        self.text = label("", wrap=True)
+        self.again, self.discard = QPushButton("Save again (Enter)"), QPushButton("Discard (Esc)")
+        row = QHBoxLayout(self)
+        row.setContentsMargins(12, 8, 10, 8)
+        row.addWidget(self.text, 1)
+        row.addWidget(self.again)
+        row.addWidget(self.discard)
+        self.again.clicked.connect(again)
+        self.discard.clicked.connect(discard)
+        self.hide()
+
+    def show_trouble(self, what: str) -> None:
+        """Say why; "" hides the banner."""
+        self.text.setText(f"Not saved: {what}" if what else "")
+        self.setVisible(bool(what))

@@ -27,6 +27,7 @@ VERBS = {
     "evaluate": "measure a contact-patch model",
     "experiment": "measure the paper's three tables on the simulated bench",
     "track": "track the gel's markers in an image, video or folder",
+    "settings": "show the settings of the method, or write them to a file",
     "doctor": "check this computer, each finding with its fix",
 }
 """Every verb and its line of help; ``backend.verbs.<verb>`` is imported only when it is used."""

@@ -16,6 +16,7 @@ from backend.runs.requests import StackRequest
 from backend.runs.store import data_folder
 from backend.verbs.ctrl_c import ctrl_c_cancels
 from backend.verbs.screen import Screen
+from backend.verbs.settings import load_method
 
 NAME = "stack"
 HELP = "stack a piece on the simulated bench, headless"
@@ -37,6 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--trials", type=int, default=1)
     parser.add_argument("--strategy", choices=("paper", "pick-and-place"), default="paper")
     parser.add_argument("--model", metavar="FILE", help="checkpoint (default: the shipped one)")
+    parser.add_argument(
+        "--method", type=Path, metavar="FILE", help="settings of the method (see 'settings')"
+    )
     parser.add_argument("--bench", metavar="FILE", help="settings of the simulated bench (TOML)")
     parser.add_argument("--preset", help="noise preset: mixed, quiet, hard, off, realistic")
     parser.add_argument(
@@ -75,7 +79,8 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         pieces=Path(args.pieces) if args.pieces else None,
     )
     keep = Keep(runs, episodes=not args.no_episodes)
-    session = simulated_session(choice, keep=keep, animate=True)
+    method = load_method(args.method) if args.method else None
+    session = simulated_session(choice, keep=keep, method=method, animate=True)
     trials: list[TrialFinished] = []
     faults: list[FaultRaised] = []
     session.hub.subscribe(lambda fact: _follow(fact, trials, faults))

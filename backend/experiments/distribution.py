@@ -19,6 +19,8 @@ HELD_TICKS = 5
 """The hold at the end of the press: the signals have settled."""
 UNLIKE_IOU = 0.25
 """Patches that overlap by less than this are very different."""
+LEAST_SHARE = 0.15
+"""Of the face: a patch smaller than this is unlike any other by its size alone."""
 BLOCK = 500
 
 
@@ -65,13 +67,15 @@ def find_twins(
 ) -> list[Twin]:
     """Return the ``count`` nearest pairs of ``signals`` (n, 258) with unlike ``patch`` (n, N).
 
-    No press occurs twice. All pairs are looked at.
+    Both patches cover at least ``LEAST_SHARE`` of the face. No press occurs twice. All pairs are
+    looked at.
     """
     if signals.shape[1] != CHANNELS:
         raise ValueError(f"signals have {signals.shape[1]} channels, not {CHANNELS}")
     place = standardised(signals)
     squares = (place**2).sum(axis=1)
     size = patch.sum(axis=1)
+    large = size >= LEAST_SHARE * patch.shape[1]
     bits = patch.astype(np.float32)
     found: list[tuple[float, int, int, float]] = []
     everything = []
@@ -82,7 +86,7 @@ def find_twins(
         iou = both / np.maximum(size[rows, None] + size - both, 1.0)
         later = np.arange(start, start + len(distance))[:, None] < np.arange(len(place))
         everything.append(distance[later])
-        i, j = np.nonzero(later & (iou < unlike_iou))
+        i, j = np.nonzero(later & (iou < unlike_iou) & large[rows, None] & large)
         best = np.argsort(distance[i, j])[: 20 * count]
         found += [
             (float(distance[i[k], j[k]]), start + int(i[k]), int(j[k]), float(iou[i[k], j[k]]))

@@ -1,0 +1,174 @@
+"""The experiments as a campaign: nothing leaks, everything is traced, the numbers repeat."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from backend.assembly import make_scene
+from backend.config.simulation import SimulationSettings
+from backend.core.faults import InputError
+from backend.experiments.given_models import adopt_models, load_model, models_that_ship
+from backend.experiments.kinds import KINDS
+from backend.experiments.recipes import (
+    BOTTOMS,
+    FULL,
+    MODELS,
+    PIECES,
+    QUICK,
+    TRAINING_BOTTOMS,
+    Recipe,
+    Scale,
+)
+from backend.experiments.scenes import LEAN_MM, Case, balanced_offset, start_scene
+from backend.experiments.writing import DATA, PAGE, write_tables
+from backend.jobs.campaign import run_campaign
+from backend.jobs.executor import Serial
+from backend.jobs.spec import JobSpec
+from backend.jobs.store import JobStore
+from backend.objects.catalogue import load_catalogue
+from backend.runs.requests import SceneChoice
+
+HARD = SimulationSettings.model_validate({"preset": "hard"})
+TINY = Scale("tiny", 30, 1, 4, 2, probes_per_grip=5, grips_per_mounting=2, fused=3)
+
+
+def test_full_has_the_papers_counts() -> None:
+    jobs = Recipe(FULL, HARD, "1").jobs()
+    kinds = [spec.kind for spec in jobs]
+    assert {kind: kinds.count(kind) for kind in kinds} == {
+        "simulate": 9,
+        "train": 12,
+        "twins": 1,
+        "static": 6,
+        "stack": 15,
+    }
+    collected = [spec.params["episodes"] for spec in jobs if spec.kind == "simulate"]
+    assert collected == [2000] * 9
+    assert {spec.params["epochs"] for spec in jobs if "epochs" in spec.params} <= {30}
+
+
+def test_inputs_come_before_what_needs_them_and_no_job_twice() -> None:
+    seen: set[str] = set()
+    for spec in Recipe(FULL, HARD, "1").jobs():
+        assert spec.id not in seen
+        assert set(spec.inputs) <= seen
+        seen.add(spec.id)
+
+
+def test_another_bench_or_program_is_another_experiment() -> None:
+    mixed = SimulationSettings()
+    ids = [
+        {spec.id for spec in Recipe(FULL, bench, code).jobs()}
+        for bench, code in ((HARD, "1"), (mixed, "1"), (HARD, "2"))
+    ]
+    assert not ids[0] & ids[1]
+    assert not ids[0] & ids[2]
+
+
+def test_no_seed_of_an_evaluation_serves_twice_or_in_training() -> None:
+    used: set[int] = set()
+    jobs = [s for s in Recipe(FULL, HARD, "1").jobs() if s.kind in ("static", "stack")]
+    cells: dict[str, set[int]] = {}
+    for spec in jobs:
+        count = spec.params.get("groups") or 2 * spec.params["trials"]
+        seeds = set(range(spec.seed, spec.seed + count))
+        # Strategies are compared on the same trials; cells of other pairs share none.
+        cell = f"{spec.kind} {spec.params['piece']} {spec.params.get('bottoms')}"
+        cell += str(spec.params.get("bottom"))
+        if cell in cells:
+            assert cells[cell] == seeds
+            continue
+        cells[cell] = seeds
+        assert not used & seeds
+        used |= seeds
+    assert not {s.seed for s in Recipe(FULL, HARD, "1").jobs() if s.kind == "simulate"} & used
+
+
+def test_unseen_outlines_are_unlike_those_of_the_training() -> None:
+    catalogue = load_catalogue()
+    line = np.arange(-20, 20, 0.1)
+    grid = np.stack(np.meshgrid(line, line), axis=-1)
+    for unseen in (*BOTTOMS, "hex20", "rect12x28"):
+        inside = catalogue.bottom(unseen).face.contains(grid)
+        for known in TRAINING_BOTTOMS:
+            other = catalogue.bottom(known).face.contains(grid)
+            assert (inside & other).sum() / (inside | other).sum() <= 0.90
+
+
+@pytest.mark.parametrize("stable", [True, False])
+def test_a_balanced_sample_is_what_it_says(stable: bool) -> None:
+    case = Case.of(load_catalogue(), "mushroom", ("short",), HARD)
+    places = np.stack([balanced_offset(case, seed, 0, stable=stable) for seed in range(40)])
+    # Both faces are round and the centre of mass is central: the edge is the smaller circle.
+    assert ((np.hypot(*places.T) < 10.0) == stable).all()
+    assert np.hypot(*places.T).std() > 1.0
+
+
+def test_a_trial_starts_where_the_devices_would_start_it() -> None:
+    catalogue = load_catalogue()
+    case = Case.of(catalogue, "pot", ("short",), HARD)
+    theirs = make_scene(catalogue, SceneChoice("pot", ("short",), 4), HARD)
+    mine = start_scene(case, 4)
+    assert mine is not None
+    assert mine.start_mm == theirs.start_mm
+    assert mine.bottoms == theirs.bottoms
+
+
+def test_two_bottoms_lean_by_up_to_six_millimetres() -> None:
+    case = Case.of(load_catalogue(), "pot", ("short", "long"), HARD)
+    scenes = [start_scene(case, seed) for seed in range(60)]
+    reach = [np.hypot(*scene.bottoms.bodies[1].at_mm) for scene in scenes if scene]
+    assert len(reach) >= 55
+    assert max(reach) <= LEAN_MM
+    assert 2.0 < np.mean(reach) < 4.0
+
+
+def test_a_tiny_campaign_gives_traced_tables_that_repeat(tmp_path: Path) -> None:
+    recipe = Recipe(TINY, HARD, "1", pieces=("pot",))
+    answers = []
+    for name in ("first", "second"):
+        store = JobStore(tmp_path / name / "jobs")
+        results = list(run_campaign(recipe.jobs(), Serial(KINDS, store), store))
+        assert [r.error for r in results if r.state == "failed"] == []
+        answers.append(write_tables(tmp_path / name, recipe, store)[1])
+    assert answers[0] == answers[1]
+    assert (tmp_path / "first" / DATA).is_file()
+    page = (tmp_path / "first" / PAGE).read_text("utf-8")
+    assert "SIMULATED BENCH" in page
+    assert "http" not in page.replace("http://www.w3.org", "")
+    cell = answers[0]["table1"][0]["cells"][0]
+    spec = JobSpec.parse(
+        (tmp_path / "first" / "jobs" / cell["job"] / "spec.json").read_text("utf-8")
+    )
+    assert spec.params["piece"] == "pot"
+    assert spec.seed == cell["seed"]
+    assert cell["n"] == TINY.groups
+    methods = {row["method"]: row for row in answers[0]["table2"]}
+    assert methods["Implicit"]["cells"][0]["accuracy"]["n"] <= TINY.groups
+    assert "accuracy" not in methods["5"]["cells"][0]
+
+
+def test_quick_uses_models_that_exist_and_leaves_other_cells_empty(tmp_path: Path) -> None:
+    store = JobStore(tmp_path / "jobs")
+    models = adopt_models(store, models_that_ship("mixed"))
+    assert {("pot", "FT+Tac"), ("barrel", "FT+Tac"), ("mushroom", "FT+Tac")} <= set(models)
+    assert adopt_models(store, models_that_ship("mixed")) == models
+    assert load_model(models["pot", "FT+Tac"], store).card.piece == "pot"
+    with pytest.raises(InputError, match="no such model"):
+        load_model("0" * 32, store)
+    only = {("pot", "FT+Tac"): models["pot", "FT+Tac"]}
+    recipe = Recipe(replace(QUICK, groups=4, trials=2), HARD, "1", only, ("pot",))
+    assert {spec.kind for spec in recipe.jobs()} == {"twins", "static", "stack"}
+    assert recipe.static("barrel", "short") is None
+    names = {name for name, _, _ in MODELS}
+    assert set(recipe.jobs()[1].params["models"]) < names
+    assert PIECES == ("mushroom", "barrel", "pot")
+
+
+def test_an_empty_folder_of_models_is_bad_input(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no models here"):
+        adopt_models(JobStore(tmp_path / "jobs"), tmp_path)

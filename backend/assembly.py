@@ -126,6 +126,22 @@ def shipped_model(piece: str) -> Path:
     return path
 
 
+class _Models:
+    """The trained models in use: each file is read once for a piece."""
+
+    def __init__(self) -> None:
+        self._loaded: dict[tuple[Path, str], Estimator] = {}
+
+    def of(self, choice: SceneChoice, piece: Piece) -> Estimator | None:
+        """Return the model of a scene, None if it needs none; raises ``InputError``."""
+        if not choice.estimates:
+            return None
+        path = Path(choice.model) if choice.model else shipped_model(choice.piece)
+        if (path, piece.name) not in self._loaded:
+            self._loaded[path, piece.name] = Estimator.load(path, piece)
+        return self._loaded[path, piece.name]
+
+
 def make_tower(catalogue: Catalogue, names: tuple[str, ...], rng: np.random.Generator) -> Tower:
     """Stand the named bottoms on each other; those above the first lean out at random.
 
@@ -203,15 +219,10 @@ def simulated_session(
     script = parse_script(disturbances)
     catalogue = load_catalogue(choice.pieces)
     method = method or StackSettings()
-    models: dict[tuple[Path, str], Estimator] = {}
+    models = _Models()
 
     def model(choice: SceneChoice, piece: Piece) -> Estimator | None:
-        if estimate is not None or not choice.estimates:
-            return None
-        path = Path(choice.model) if choice.model else shipped_model(choice.piece)
-        if (path, piece.name) not in models:
-            models[path, piece.name] = Estimator.load(path, piece)
-        return models[path, piece.name]
+        return None if estimate else models.of(choice, piece)
 
     def make_stage(choice: SceneChoice, raw: RawStreams) -> Stage:
         scene = make_scene(catalogue, choice, settings)

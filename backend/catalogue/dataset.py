@@ -14,6 +14,7 @@ from typing import Self
 
 from backend.catalogue import episodes, merge, operations, queues, recording
 from backend.catalogue.backups import Backups
+from backend.catalogue.comparison import Comparison, compare
 from backend.catalogue.database import NAME as CATALOGUE
 from backend.catalogue.database import Database
 from backend.catalogue.findings import Store, sentences
@@ -233,6 +234,10 @@ class Dataset:
                 merge.note(connection, name, other, done)
         self.labels.take_stock()
         return done
+
+    def compare(self, first: str, second: str) -> Comparison:
+        """Return how far the answers of two persons agree."""
+        return compare(self.database, self.geometry, first, second)
 
     def people(self) -> list[str]:
         """Return the names of all who ever acted here."""

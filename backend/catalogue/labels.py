@@ -9,7 +9,7 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from threading import RLock
 from typing import Any
 
@@ -147,6 +147,23 @@ class LabelBook(LabelReader):
             draft.add_copy(_following(winner, winner, winner.state), winner.rev_uuid)
             draft.closes += [other for other in ids if other != rev_uuid]
         return self.head(uuid)
+
+    def opinion(
+        self,
+        person: str,
+        uuid: str,
+        label: Label,
+        *,
+        verdict: Verdict | None = None,
+        looked: Looked | None = None,
+    ) -> None:
+        """Keep what ``person`` would have answered, for figures of agreement; no label changes.
+
+        The latest answer counts; it is no step of undo.
+        """
+        with self._act(person, "label.opinion", looked) as (connection, draft, _):
+            standing_of(connection, uuid)
+            draft.opinions.append({"episode": uuid, "verdict": verdict} | asdict(label))
 
     def restore_revision(self, person: str, uuid: str, rev_uuid: str) -> Revision:
         """Write an old revision again, as a draft with its own source."""
@@ -298,7 +315,7 @@ class LabelBook(LabelReader):
             operation = None
             with self.commit() as connection:
                 yield connection, draft, name
-                if draft.revs or draft.marks:
+                if draft.revs or draft.marks or draft.opinions:
                     operation = self._append(connection, name, verb, draft)
             if operation is not None:
                 self._note(operation)

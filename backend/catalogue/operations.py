@@ -47,6 +47,7 @@ class Draft:
     marks: list[Mark] = field(default_factory=list)
     copies: dict[str, str] = field(default_factory=dict)
     reviews: list[Mapping[str, object]] = field(default_factory=list)
+    opinions: list[Mapping[str, object]] = field(default_factory=list)
     extra: dict[str, object] = field(default_factory=dict)
 
     def add_copy(self, revision: dict[str, Any], source: str) -> None:
@@ -57,7 +58,7 @@ class Draft:
     def body(self) -> dict[str, object]:
         """Return the body of the operation; empty optional parts are left out."""
         body: dict[str, object] = {"closes": list(self.closes), "revs": list(self.revs)}
-        for name in ("marks", "copies", "reviews"):
+        for name in ("marks", "copies", "reviews", "opinions"):
             if getattr(self, name):
                 body[name] = getattr(self, name)
         return body | self.extra
@@ -171,6 +172,12 @@ def _store_body(connection: sqlite3.Connection, operation: Operation) -> None:
         who = (operation.op_uuid, review["rev_uuid"], operation.actor)
         what = (review["decision"], review["reason"], seen, blind)
         connection.execute("INSERT INTO review VALUES (?, ?, ?, ?, ?, ?, ?)", (*who, *what))
+    for opinion in body.get("opinions", ()):
+        connection.execute(
+            "INSERT INTO opinion VALUES (:op_uuid, :episode, :x_um, :y_um, :theta_mdeg, :sigma_um,"
+            " :verdict)",
+            {**opinion, "op_uuid": operation.op_uuid},
+        )
 
 
 _INSERT_REVISION = """

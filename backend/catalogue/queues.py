@@ -20,6 +20,7 @@ QueueName = Literal[
     "duplicates",
     "conflicts",
     "audit",
+    "gold",
 ]
 QUEUES: tuple[QueueName, ...] = get_args(QueueName)
 
@@ -41,6 +42,7 @@ def queue(
       changed since it was scored is left out of the first and the last
     - coverage: not yet approved, squares with the fewest approved labels first
     - conflicts: two labels since a merge; audit: a share drawn by ``seed``
+    - gold: a share of the approved labels of others, to be answered blind, once each
     """
     if name not in QUEUES:
         raise InputError(f"There is no queue '{name}'.", "queue", f"Use {', '.join(QUEUES)}.")
@@ -118,13 +120,30 @@ def _coverage(database: Database, person: str, seed: int, limit: int) -> list[st
 
 
 def _audit(database: Database, person: str, seed: int, limit: int) -> list[str]:
-    rows = _ids(database, "SELECT episode FROM label_head WHERE stage IN ('review', 'approved')")
+    sql = "SELECT episode FROM label_head WHERE stage IN ('review', 'approved')"
+    return _drawn(_ids(database, sql), seed, limit)
+
+
+def _gold(database: Database, person: str, seed: int, limit: int) -> list[str]:
+    sql = "SELECT episode FROM label_head WHERE stage = 'approved' AND instr(authors, ?) = 0"
+    drawn = _drawn(_ids(database, sql, f"\n{person}\n"), seed, -1)
+    answered = set(
+        _ids(
+            database, "SELECT episode FROM opinion JOIN op USING (op_uuid) WHERE actor = ?", person
+        )
+    )
+    left = [uuid for uuid in drawn if uuid not in answered]
+    return left if limit < 0 else left[:limit]
+
+
+def _drawn(uuids: list[str], seed: int, limit: int) -> list[str]:
+    """Return a share of ``uuids`` in random order: a die per episode, whatever else is there."""
     key = seed.to_bytes(16, "little", signed=True)
 
     def die(uuid: str) -> int:
         return int.from_bytes(blake2b(uuid.encode(), digest_size=8, key=key).digest(), "little")
 
-    thrown = sorted((die(uuid), uuid) for uuid in rows)
+    thrown = sorted((die(uuid), uuid) for uuid in uuids)
     chosen = [uuid for value, uuid in thrown if value < AUDIT_SHARE * 2**64]
     return chosen if limit < 0 else chosen[:limit]
 
@@ -142,4 +161,5 @@ _MAKERS: dict[str, Callable[[Database, str, int, int], list[str]]] = {
     "duplicates": _scored("duplicates", "ASC", _SAME_LABEL),
     "conflicts": _stage("conflicts"),
     "audit": _audit,
+    "gold": _gold,
 }

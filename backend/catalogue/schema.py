@@ -2,7 +2,8 @@
 
 Append-only tables refuse UPDATE and DELETE, and REPLACE as well: SQLite deletes the replaced row
 without firing delete triggers, so a trigger before the insert has to find the key first.
-``label_head``, ``closed``, ``mark`` and ``review`` are derived from the operations.
+``label_rev``, ``closed``, ``mark``, ``review`` and ``opinion`` say what the operations say;
+``label_head`` follows from them.
 """
 
 from __future__ import annotations
@@ -71,6 +72,12 @@ CREATE TABLE review (
     decision TEXT NOT NULL, reason TEXT, seen_ms INTEGER, blind INTEGER,
     PRIMARY KEY (op_uuid, rev_uuid)
 );
+CREATE TABLE opinion (
+    op_uuid TEXT NOT NULL REFERENCES op (op_uuid), episode TEXT NOT NULL, x_um INTEGER,
+    y_um INTEGER, theta_mdeg INTEGER, sigma_um INTEGER, verdict TEXT,
+    PRIMARY KEY (op_uuid, episode)
+);
+CREATE INDEX opinion_episode ON opinion (episode);
 CREATE TABLE event (
     id INTEGER PRIMARY KEY, at_ns INTEGER NOT NULL, actor TEXT NOT NULL, verb TEXT NOT NULL,
     target TEXT NOT NULL, body TEXT NOT NULL
@@ -93,6 +100,7 @@ KEYS = {
     "op": "op_uuid = NEW.op_uuid OR (site = NEW.site AND seq = NEW.seq)",
     "label_rev": "rev_uuid = NEW.rev_uuid",
     "review": "op_uuid = NEW.op_uuid AND rev_uuid = NEW.rev_uuid",
+    "opinion": "op_uuid = NEW.op_uuid AND episode = NEW.episode",
     "event": "id = NEW.id",
 }
 """The append-only tables and what makes a row of them the same row."""

@@ -23,7 +23,7 @@ from backend.catalogue.uuid7 import uuid7
 from backend.catalogue.values import NO_LABEL, Content, Operation, Revision
 from backend.core.faults import RefusedError
 
-NO_STEPS = ("record", "adopt", "import")
+NO_STEPS = ("record", "adopt", "import", "label.opinion")
 """Verbs that are no action of a person, so that no undo takes them back."""
 
 

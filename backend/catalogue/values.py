@@ -100,7 +100,7 @@ class Operation:
     """One action of one person: a link of the chain of its site, and one step of undo.
 
     ``body``: ``closes`` (revisions it retires), ``revs`` (what it wrote), and where there are any
-    ``marks``, ``copies``, ``reviews``, ``seen_ms``, ``blind``. Hashes are hex.
+    ``marks``, ``copies``, ``reviews``, ``opinions``, ``seen_ms``, ``blind``. Hashes are hex.
     """
 
     op_uuid: str

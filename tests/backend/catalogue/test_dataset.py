@@ -88,13 +88,14 @@ def test_a_copy_of_a_dataset_begins_a_chain_of_its_own(tmp_path: Path) -> None:
         assert moved.description.site != first.site
 
 
-@pytest.mark.parametrize("table", ["op", "label_rev", "event", "review"])
+@pytest.mark.parametrize("table", ["op", "label_rev", "event", "review", "opinion"])
 def test_append_only_tables_refuse_update_delete_and_replace(
     dataset: Dataset, record: Record, table: str
 ) -> None:
     entry = record()
     dataset.labels.accept("ann", entry.uuid)
     dataset.labels.approve("bob", entry.uuid)
+    dataset.labels.opinion("cleo", entry.uuid, Label(1, 2, 0, 3))
     with dataset.database.transaction() as connection:
         connection.execute("INSERT INTO event VALUES (7, 1, 'ann', 'test', '', '{}')")
     attempts = {

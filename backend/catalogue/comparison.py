@@ -1,0 +1,119 @@
+"""Two labellers compared over the episodes that both answered."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from statistics import fmean, median
+
+import numpy as np
+
+from backend.catalogue import agreement
+from backend.catalogue.agreement import Bias
+from backend.catalogue.database import Database
+from backend.catalogue.geometry import GeometryStore
+from backend.catalogue.values import Label, Verdict
+
+PAUSE_MS = 60_000
+"""A longer look is a pause, and counts as this much at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What one person last said of one episode."""
+
+    episode: str
+    geometry: str
+    label: Label
+    verdict: Verdict | None
+    seen_ms: int | None
+    blind: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Figures of the first person minus the second; NaN where there is too little.
+
+    ``drift_mm`` (x, y): mean difference in the later half minus that in the earlier one.
+    ``seconds``: median time of each per answer, where it was measured.
+    """
+
+    episodes: int
+    bias_x_mm: Bias
+    bias_y_mm: Bias
+    rms_mm: float
+    icc_x: float
+    icc_y: float
+    patch_iou: float
+    kappa: float
+    alpha: float
+    drift_mm: tuple[float, float]
+    seconds: tuple[float, float]
+
+
+def answers(database: Database, person: str) -> dict[str, Answer]:
+    """Return the last answer of ``person`` for each episode: set, accepted, or an opinion."""
+    sql = """
+    SELECT episode, geometry, x_um, y_um, theta_mdeg, sigma_um, verdict,
+        json_extract(body, '$.seen_ms'), json_extract(body, '$.blind')
+    FROM (
+        SELECT r.episode, r.geometry, r.x_um, r.y_um, r.theta_mdeg, r.sigma_um, r.verdict, o.body,
+            o.lamport, o.seq FROM op o JOIN label_rev r USING (op_uuid)
+        WHERE o.actor = ?1 AND o.verb IN ('label.set', 'label.accept_next')
+        UNION ALL
+        SELECT p.episode, h.geometry, p.x_um, p.y_um, p.theta_mdeg, p.sigma_um, p.verdict, o.body,
+            o.lamport, o.seq FROM op o JOIN opinion p USING (op_uuid)
+        JOIN label_head l ON l.episode = p.episode JOIN label_rev h ON h.rev_uuid = l.rev_uuid
+        WHERE o.actor = ?1
+    ) ORDER BY lamport, seq
+    """
+    found: dict[str, Answer] = {}
+    for row in database.rows(sql, (person,)):
+        episode, geometry, *label, verdict, seen_ms, blind = row
+        # The last one counts, and stands where it was given.
+        found.pop(episode, None)
+        found[episode] = Answer(episode, geometry, Label(*label), verdict, seen_ms, bool(blind))
+    return found
+
+
+def compare(database: Database, geometry: GeometryStore, first: str, second: str) -> Comparison:
+    """Return the figures of agreement of two persons."""
+    one, two = answers(database, first), answers(database, second)
+    both = [uuid for uuid in one if uuid in two]
+    pairs = [(one[u], two[u]) for u in both if one[u].label.is_set and two[u].label.is_set]
+    a = np.array([x.label.offset_mm for x, _ in pairs], dtype=np.float64).reshape(-1, 2)
+    b = np.array([y.label.offset_mm for _, y in pairs], dtype=np.float64).reshape(-1, 2)
+    said = [(one[u].verdict, two[u].verdict) for u in both]
+    named = [(x, y) for x, y in said if x is not None and y is not None]
+    overlaps = [_overlap(geometry, x, y) for x, y in pairs]
+    return Comparison(
+        episodes=len(both),
+        bias_x_mm=agreement.bias(a[:, 0], b[:, 0]),
+        bias_y_mm=agreement.bias(a[:, 1], b[:, 1]),
+        rms_mm=agreement.rms_mm(a, b),
+        icc_x=agreement.icc(np.stack([a[:, 0], b[:, 0]], axis=1)),
+        icc_y=agreement.icc(np.stack([a[:, 1], b[:, 1]], axis=1)),
+        patch_iou=fmean(overlaps) if overlaps else math.nan,
+        kappa=agreement.kappa([x for x, _ in named], [y for _, y in named]),
+        alpha=agreement.alpha(named),
+        drift_mm=_drift(a - b),
+        seconds=(_seconds(one), _seconds(two)),
+    )
+
+
+def _overlap(geometry: GeometryStore, one: Answer, two: Answer) -> float:
+    first = geometry.patch(two.geometry, one.label).touching
+    return agreement.patch_iou(first, geometry.patch(two.geometry, two.label).touching)
+
+
+def _drift(difference: agreement.Floats) -> tuple[float, float]:
+    half = len(difference) // 2
+    if not half:
+        return math.nan, math.nan
+    x, y = difference[half:].mean(axis=0) - difference[:half].mean(axis=0)
+    return float(x), float(y)
+
+
+def _seconds(given: dict[str, Answer]) -> float:
+    times = [min(a.seen_ms, PAUSE_MS) / 1e3 for a in given.values() if a.seen_ms is not None]
+    return median(times) if times else math.nan

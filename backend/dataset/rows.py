@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,9 +19,9 @@ from backend.dataset.pack_file import EpisodeRow, read_pack
 class TrainingRows:
     """n episodes of one grasped piece.
 
-    ``observation`` (n, 20, 258) float32; ``offset_mm`` (n, 2) labelled displacement; ``patch``
-    (n, N) bool, the true patch over the face points; ``bottom``, ``grip_id`` and ``mounting_id``
-    per episode; ``labels`` as stored.
+    ``observation`` (n, 20, 258) float32, or float16 as a memory map of a training cache;
+    ``offset_mm`` (n, 2) labelled displacement; ``patch`` (n, N) bool, the true patch over the face
+    points; ``bottom``, ``grip_id`` and ``mounting_id`` per episode; ``labels`` as stored.
     """
 
     piece: str
@@ -33,6 +33,13 @@ class TrainingRows:
     grip_id: tuple[str, ...]
     mounting_id: tuple[str, ...]
     labels: tuple[Mapping[str, object], ...]
+    fetch: Callable[[NDArray[np.int64]], NDArray[np.floating]] | None = None
+    """How ``observation[index]`` is read where it is on disk."""
+
+    def inputs(self, index: NDArray[np.int64]) -> NDArray[np.float32]:
+        """(len(index), 20, 258) float32: the observations at ``index``, in that order."""
+        found = self.observation[index] if self.fetch is None else self.fetch(index)
+        return found.astype(np.float32, copy=False)
 
     def __len__(self) -> int:
         return len(self.observation)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -46,12 +47,22 @@ def fit_normaliser(observation: NDArray[np.float32], modality: Modality) -> Norm
     One scale per group keeps the sizes of neighbouring markers comparable. A group that never
     changes gets scale 1.
     """
-    flat = observation.reshape(-1, observation.shape[-1])
-    mean = flat.mean(axis=0, dtype=np.float64)
-    square = flat.astype(np.float64).var(axis=0)
+    return fit_in_parts([observation], modality)
+
+
+def fit_in_parts(parts: Iterable[NDArray[np.float32]], modality: Modality) -> Normaliser:
+    """Fit on the episodes of all ``parts`` without holding them at once."""
+    count, mean, squares = 0, np.zeros(CHANNELS), np.zeros(CHANNELS)
+    for part in parts:
+        flat = part.reshape(-1, part.shape[-1])
+        added, their_mean = len(flat), flat.mean(axis=0, dtype=np.float64)
+        # Means and squared deviations of two samples as of one (Chan, Golub, LeVeque 1983).
+        step, total = their_mean - mean, count + added
+        squares += flat.astype(np.float64).var(axis=0) * added + step**2 * (count * added / total)
+        mean, count = mean + step * (added / total), total
+    variance = squares / count
     groups = channel_groups()
-    variance = np.bincount(groups, square) / np.bincount(groups)
-    scale = np.sqrt(variance)[groups]
+    scale = np.sqrt(np.bincount(groups, variance) / np.bincount(groups))[groups]
     scale[scale < 1e-9] = 1.0
-    part = columns(modality)
-    return Normaliser(mean[part].astype(np.float32), scale[part].astype(np.float32))
+    seen = columns(modality)
+    return Normaliser(mean[seen].astype(np.float32), scale[seen].astype(np.float32))

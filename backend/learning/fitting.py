@@ -11,6 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 import torch
 
+from backend.catalogue.training_set import is_dataset, load_training_set
 from backend.config.method import StabilitySettings
 from backend.core.faults import InputError
 from backend.dataset.rows import TrainingRows, load_rows
@@ -37,7 +38,7 @@ def fit(job: TrainingJob, tell: Tell, cancelled: Callable[[], bool]) -> None:
     began_s = time.monotonic()
     torch.set_num_threads(job.threads)
     torch.use_deterministic_algorithms(True)
-    rows = load_rows(job.data, job.piece)
+    rows = _rows(job)
     data = fingerprint(rows)
     trainer = Trainer(rows, job.settings)
     state = resume_path(job.out)
@@ -70,6 +71,12 @@ def fit(job: TrainingJob, tell: Tell, cancelled: Callable[[], bool]) -> None:
             seconds=time.monotonic() - began_s,
         )
     )
+
+
+def _rows(job: TrainingJob) -> TrainingRows:
+    if is_dataset(job.data):
+        return load_training_set(job.data, job.piece, job.labels)
+    return load_rows(job.data, job.piece)
 
 
 def _loaded(rows: TrainingRows, trainer: Trainer) -> Loaded:

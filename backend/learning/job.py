@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
+from backend.catalogue.training_set import LabelChoice
 from backend.config.method import TrainingSettings
 
 
@@ -17,12 +18,16 @@ class Message(BaseModel):
 
 
 class TrainingJob(Message):
-    """Train on the episodes of ``piece`` (None: the only one) in ``data``; write to ``out``."""
+    """Train on the episodes of ``piece`` (None: the only one) in ``data``; write to ``out``.
+
+    ``data``: a dataset, of which ``labels`` says what counts, or a folder of packs.
+    """
 
     data: Path
     piece: str | None
     out: Path
     settings: TrainingSettings
+    labels: LabelChoice = "approved"
     resume: bool = False
     threads: Annotated[int, Field(ge=1, le=64)] = 1
     """Two threads beside other work wait for each other: measured, 9 times the processor time."""

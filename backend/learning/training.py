@@ -16,10 +16,13 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 from backend.config.method import TrainingSettings
 from backend.dataset.rows import TrainingRows
 from backend.dataset.splits import Split, split_rows
-from backend.learning.features import columns, fit_normaliser
+from backend.learning.features import columns, fit_in_parts
 from backend.learning.metrics import LEVEL, iou, point_accuracy
 from backend.learning.model import PatchNet, new_model
 from backend.learning.shape import Shape
+
+PART = 4096
+"""Episodes held in memory at once where all are gone through."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +40,9 @@ class EpochReport:
 
 def fingerprint(rows: TrainingRows) -> str:
     """Return the SHA-256 of all inputs and targets, which names a training set."""
-    digest = hashlib.sha256(np.ascontiguousarray(rows.observation).tobytes())
+    digest = hashlib.sha256()
+    for start in range(0, len(rows), PART):
+        digest.update(np.ascontiguousarray(rows.observation[start : start + PART]).tobytes())
     digest.update(np.packbits(rows.patch).tobytes())
     digest.update("\n".join(str(label.get("episode")) for label in rows.labels).encode())
     return digest.hexdigest()
@@ -55,14 +60,14 @@ class Trainer:
     def __init__(self, rows: TrainingRows, settings: TrainingSettings) -> None:
         self.settings = settings
         self.split: Split = split_rows(rows, settings.validation_share, settings.seed)
-        part = columns(settings.modality)
+        self._rows, self._seen = rows, columns(settings.modality)
         train = self.split.train
-        self._inputs = torch.from_numpy(np.ascontiguousarray(rows.observation[:, :, part]))
         self._targets = torch.from_numpy(rows.patch.astype(np.float32))
-        inputs = part.stop - part.start
+        inputs = self._seen.stop - self._seen.start
         shape = Shape(inputs, settings.hidden, settings.layers, rows.patch.shape[1])
         self.model: PatchNet = new_model(shape, settings.seed)
-        self.model.set_normaliser(fit_normaliser(rows.observation[train], settings.modality))
+        parts = (rows.inputs(index) for index in in_parts(train))
+        self.model.set_normaliser(fit_in_parts(parts, settings.modality))
         self.optimiser = torch.optim.Adam(self.model.parameters(), lr=settings.learning_rate)
         self.base_rate = float(rows.patch[train].mean())
         self.done = 0
@@ -93,15 +98,15 @@ class Trainer:
 
     def _train_epoch(self, cancelled: Callable[[], bool]) -> float | None:
         rng = np.random.default_rng([self.settings.seed, self.done])
-        order = torch.from_numpy(rng.permutation(self.split.train))
+        order = rng.permutation(self.split.train)
         self._set_rate()
         self.model.train()
         total = 0.0
-        for batch in torch.split(order, self.settings.batch):
+        for batch in in_parts(order, self.settings.batch):
             if cancelled():
                 return None
             self.optimiser.zero_grad()
-            loss = bce(self.model(self._inputs[batch]), self._targets[batch])
+            loss = bce(self.model(self._inputs(batch)), self._targets[batch])
             loss.backward()  # type: ignore[no-untyped-call]
             self.optimiser.step()
             total += float(loss.detach()) * len(batch)
@@ -116,9 +121,9 @@ class Trainer:
             group["lr"] = rate
 
     def _validate(self, train_loss: float) -> EpochReport:
-        held_out = torch.from_numpy(self.split.held_out)
-        logits = predict_logits(self.model.eval(), self._inputs[held_out])
-        targets = self._targets[held_out]
+        model, held_out = self.model.eval(), self.split.held_out
+        parts = [predict_logits(model, self._inputs(index)) for index in in_parts(held_out)]
+        logits, targets = torch.cat(parts), self._targets[held_out]
         loss = float(bce(logits, targets))
         predicted = torch.sigmoid(logits).numpy() > LEVEL
         truth = targets.numpy() > LEVEL
@@ -135,8 +140,18 @@ class Trainer:
             self.best_epoch,
         )
 
+    def _inputs(self, index: NDArray[np.int64]) -> Tensor:
+        """(B, 20, inputs) what the model sees of the episodes at ``index``."""
+        seen = self._rows.inputs(index)[:, :, self._seen]
+        return torch.from_numpy(np.ascontiguousarray(seen))
+
     def _weights(self) -> dict[str, Tensor]:
         return {name: tensor.clone() for name, tensor in self.model.state_dict().items()}
+
+
+def in_parts(index: NDArray[np.int64], size: int = PART) -> list[NDArray[np.int64]]:
+    """Return ``index`` in pieces of at most ``size``."""
+    return [index[start : start + size] for start in range(0, len(index), size)]
 
 
 def one_thread() -> None:

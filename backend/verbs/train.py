@@ -19,8 +19,17 @@ JSON_VERSION = 1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     defaults = TrainingSettings()
-    parser.add_argument("data", type=Path, help="folder that 'touchdown simulate --out' wrote")
+    parser.add_argument(
+        "data", type=Path, help="a dataset, or the folder that 'touchdown simulate --out' wrote"
+    )
     parser.add_argument("--piece", help="grasped piece (default: the only one in the data)")
+    parser.add_argument(
+        "--labels",
+        choices=("approved", "submitted", "drafts"),
+        default="approved",
+        help="which labels of a dataset count: approved ones; also those that wait for review; "
+        "also what a simulated bench noted itself (default: %(default)s)",
+    )
     parser.add_argument(
         "--modality",
         choices=("FT", "Tac", "FT+Tac"),
@@ -75,6 +84,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         "piece": args.piece,
         "out": _writable((args.out or Path(f"{args.piece or 'model'}.safetensors")).resolve()),
         "settings": parse(TrainingSettings, settings, "arguments"),
+        "labels": args.labels,
         "resume": args.resume,
         "threads": args.threads,
     }

@@ -16,6 +16,7 @@ from backend.learning.features import (
     MODALITIES,
     channel_groups,
     columns,
+    fit_in_parts,
     fit_normaliser,
 )
 from backend.learning.model import new_model
@@ -84,6 +85,16 @@ def test_standardised_channels_have_zero_mean_and_unit_scale_per_group(modality:
     groups = channel_groups()[part]
     for group in np.unique(groups):
         assert np.mean(z[:, groups == group] ** 2) == pytest.approx(1.0, rel=1e-3)
+
+
+def test_fitting_in_parts_equals_fitting_at_once() -> None:
+    x = np.random.default_rng(8).normal(3.0, 2.0, (50, 20, 258)).astype(np.float32)
+    x[30:] *= 5
+    whole = fit_normaliser(x, "FT+Tac")
+    parts = fit_in_parts([x[:1], x[1:33], x[33:]], "FT+Tac")
+    assert np.allclose(parts.mean, whole.mean, rtol=1e-6)
+    assert np.allclose(parts.scale, whole.scale, rtol=1e-6)
+    assert np.allclose(whole.mean, x.reshape(-1, 258).mean(0), rtol=1e-4)
 
 
 def test_a_channel_that_never_changes_is_left_alone() -> None:

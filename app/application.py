@@ -15,7 +15,7 @@ from app.actions import Actions
 from app.activity import busy, moving
 from app.appearance import Appearance
 from app.arrival import Arrival, failed_card
-from app.cards import card_of
+from app.cards import card_of, refusal_card
 from app.chips import ChipsPresenter
 from app.error_hooks import ErrorBox
 from app.inspect import InspectPresenter
@@ -27,7 +27,16 @@ from app.settings import WindowSettings, ignored_words, load_settings, save_sett
 from app.stop_key import StopKey
 from app.workspace import Command, Desk, Workspace
 from app.workspaces import FIRST, WORKSPACES
-from backend.core.facts import Fact, FaultRaised, FaultsReset, RunFinished, RunStarted, Said
+from backend.core.facts import (
+    Fact,
+    FaultRaised,
+    FaultsReset,
+    Refused,
+    RunFinished,
+    RunStarted,
+    Said,
+)
+from backend.core.faults import RefusedError
 from backend.core.hub import Mailbox
 from widgets.fault_cards import CardText, FaultCards, Question
 from widgets.key_sheet import KeySheet
@@ -295,6 +304,8 @@ class TouchdownApp(QObject):
             ws.take(fact)
         if isinstance(fact, FaultRaised):
             self.cards.show_card(card_of(fact.fault, _clock()))
+        elif isinstance(fact, Refused):
+            self.cards.show_card(refusal_card(RefusedError(fact.reason, fact.text), _clock()))
         elif isinstance(fact, FaultsReset):
             self.cards.clear()
         elif isinstance(fact, RunStarted):

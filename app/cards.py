@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from backend.core.faults import Fault
+from backend.core.faults import Fault, RefusedError
 from widgets.fault_cards import CardText
 
 
@@ -15,3 +15,8 @@ def card_of(fault: Fault, at: str) -> CardText:
     return CardText(
         fault.code, fault.what, fault.consequence, fault.next_step, details, reset=True, at=at
     )
+
+
+def refusal_card(error: RefusedError, at: str) -> CardText:
+    """Return the card of an order by hand that was refused or ended."""
+    return CardText(error.reason, error.detail, "Nothing moves.", "", reset=False, at=at)

@@ -12,7 +12,7 @@ from backend.core.flow import FINGERS, Finger, MarkerField, TactileFrame
 from backend.devices.protocols import DeviceState
 from widgets.force_traces import TracePlot
 from widgets.freshness import Freshness
-from widgets.panel import Panel
+from widgets.panel import Captioned, Panel
 from widgets.tactile_view import TactileView
 
 HEADER_PERIOD_S = 0.25
@@ -23,7 +23,7 @@ class LiveViews:
     """The views of one page that follow the sensors."""
 
     tactile: Mapping[Finger, TactileView]
-    panels: Mapping[Finger, Panel]
+    panels: Mapping[Finger, Panel | Captioned]
     force: TracePlot
     moment: TracePlot
 
@@ -38,6 +38,8 @@ class LivePresenter:
         self._fresh = {finger: Freshness() for finger in FINGERS}
         self._wrench_fresh = Freshness()
         self._wrench_cursor = 0
+        self.paused = False
+        """Traces stand still; what arrives meanwhile is shown when they go on."""
         self._headers_s = float("-inf")
         self._frame_cursor = dict.fromkeys(FINGERS, 0)
         self.frames_shown = dict.fromkeys(FINGERS, 0)
@@ -76,15 +78,25 @@ class LivePresenter:
         views, stream, now_s = self._views, self._link.wrench, self._now_s()
         if not views.force.isVisible():
             return
-        if self._wrench_fresh.note(stream.count, now_s):
-            samples = stream.since(self._wrench_cursor)
-            self._wrench_cursor = samples.cursor
-            if len(samples.t_s):
-                views.force.add(samples.t_s, samples.values[:, :3])
-                views.moment.add(samples.t_s, samples.values[:, 3:])
+        if self._wrench_fresh.note(stream.count, now_s) and not self.paused:
+            self._feed()
         age, age_s = self._wrench_fresh.judge(now_s), self._wrench_fresh.age_s(now_s)
         for plot in (views.force, views.moment):
             plot.show_age(age, age_s, "The force/torque sensor has not sent a sample.")
+
+    def _feed(self) -> None:
+        samples = self._link.wrench.since(self._wrench_cursor)
+        self._wrench_cursor = samples.cursor
+        if len(samples.t_s):
+            self._views.force.add(samples.t_s, samples.values[:, :3])
+            self._views.moment.add(samples.t_s, samples.values[:, 3:])
+
+    def show_span(self, span_s: float) -> None:
+        """Show another length of time, from what the stream still holds."""
+        for plot in (self._views.force, self._views.moment):
+            plot.show_span(span_s)
+        self._wrench_cursor = 0
+        self._feed()
 
     def draw_headers(self) -> None:
         """Update the figures in the headers four times a second."""

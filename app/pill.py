@@ -26,11 +26,27 @@ def pill_of(link: Link) -> PillState:
         if link.interlock.faults:
             return PillState("FAULT", "square", "red", "press Reset")
         return PillState("STOPPED", "square", "blue", "press Reset")
+    by_hand = _by_hand(link)
+    if by_hand:
+        return PillState("JOG", "play", "green", by_hand)
+    if link.hand is not None and link.interlock.recovering:
+        return PillState("RECOVERY", "diamond", "yellow", "jog away from contact")
     status = link.status()
     if status.awaiting is not None:
         return PillState("YOUR TURN", "triangle", "blue", "approve or decline")
     word, shape, colour = _WORDS[status.state]
     return PillState(word, shape, colour, _with(note, status))
+
+
+def _by_hand(link: Link) -> str:
+    """Return what moves by hand, "" if nothing does."""
+    if link.hand is None or not link.hand.jog.active:
+        return ""
+    state = link.hand.jog.state
+    if state.order is None:
+        return "one step"
+    sign = "+" if state.order.speed_mm_s > 0 else "\N{MINUS SIGN}"
+    return f"{sign}{state.order.axis.upper()} {state.order.frame}, {state.speed_mm_s:.0f} mm/s"
 
 
 def _with(note: str, status: RunStatus) -> str:

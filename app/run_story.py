@@ -78,6 +78,7 @@ class RunStory:
         self.ended: RunFinished | None = None
         self.awaiting: PlaceAction | None = None
         self.version = 0
+        self._mine = True
         self._steps: dict[type[Fact], Callable[..., None]] = {
             RunStarted: self._run_started,
             TrialStarted: self._trial_started,
@@ -104,7 +105,11 @@ class RunStory:
         return tuple(t.finished.outcome for t in self.trials if t.finished is not None)
 
     def take(self, fact: Fact) -> None:
-        """Take the next fact."""
+        """Take the next fact; runs of another activity (a single probe) are passed over."""
+        if isinstance(fact, RunStarted):
+            self._mine = fact.activity == "stack"
+        if not self._mine:
+            return
         step = self._steps.get(type(fact))
         if step is not None:
             step(fact)

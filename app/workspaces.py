@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from app.label.workspace import LabelWorkspace
+from app.operate.workspace import OperateWorkspace
 from app.review.workspace import ReviewWorkspace
 from app.stack.workspace import StackWorkspace
 from app.workspace import Desk, Workspace
 
 WORKSPACES: tuple[Callable[[Desk], Workspace], ...] = (
+    OperateWorkspace,
     LabelWorkspace,
     StackWorkspace,
     ReviewWorkspace,

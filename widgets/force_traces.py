@@ -1,4 +1,4 @@
-"""Force and moment over the last 10 s: two plots, three axis colours, one time axis."""
+"""Force and moment over the last 10, 30 or 60 s: two plots, three axis colours, one time axis."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from widgets.trace_buckets import TraceBuckets
 
 AXES = ("x", "y", "z")
 LIMITS = (1.0, 2.0, 5.0)
+BUCKETS = 360
+SPANS_S = (10.0, 30.0, 60.0)
 
 
 class TracePlot(QWidget):
@@ -27,7 +29,7 @@ class TracePlot(QWidget):
         super().__init__()
         self._theme, self._name, self._symbol, self._unit = theme, name, symbol, unit
         self._least = self.limit = limit
-        self.buckets = TraceBuckets(3, buckets=360)
+        self.buckets = TraceBuckets(3, buckets=BUCKETS)
         self._age, self._age_s, self._reason = Age.NEVER, 0.0, ""
         self._ground: QPixmap | None = None
         self._ground_key: tuple[object, ...] = ()
@@ -44,6 +46,12 @@ class TracePlot(QWidget):
         finite = values[np.isfinite(values)]
         if len(finite):
             self._grow(float(np.abs(finite).max()))
+        self.update()
+
+    def show_span(self, span_s: float) -> None:
+        """Show another length of time; what is shown is forgotten and has to be added anew."""
+        self.buckets = TraceBuckets(3, span_s, buckets=BUCKETS)
+        self._ground = None
         self.update()
 
     def clear(self) -> None:
@@ -70,7 +78,8 @@ class TracePlot(QWidget):
         if self.buckets.empty:
             return f"{self._name}: waiting for data"
         parts = (f"{self._symbol}{a} {v:.2f}" for a, v in zip(AXES, self.buckets.last, strict=True))
-        return f"{', '.join(parts)} {self._unit}; largest {self.buckets.largest():.2f} in 10 s"
+        span = f"{self.buckets.span_s:.0f} s"
+        return f"{', '.join(parts)} {self._unit}; largest {self.buckets.largest():.2f} in {span}"
 
     def _grow(self, magnitude: float) -> None:
         while magnitude * 1.05 > self.limit:
@@ -156,7 +165,8 @@ class TracePlot(QWidget):
             y = min(y, rect.bottom() - 0.35 * height)
             box = QRectF(0, y - height / 2, rect.left() - 6, height)
             painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), tick_text(value, step))
-        for value in range(-int(self.buckets.span_s), 1, 2):
+        span = int(self.buckets.span_s)
+        for value in range(-span, 1, span // 5):
             x = area.x(value)
             painter.setPen(QPen(t.colour("grid"), 1))
             painter.drawLine(QPointF(x, rect.top()), QPointF(x, rect.bottom()))

@@ -154,12 +154,16 @@ class HoldButton(QPushButton):
         self.setAccessibleName(name)
         self.setToolTip(name)
 
+    def begin(self, source: int) -> None:
+        """Begin to hold."""
+        self._hold.press(self, self._what, source)
+
     def event(self, event: QEvent) -> bool:
         """Take touches as well as the mouse."""
         kind = event.type()
         if isinstance(event, QTouchEvent):
             if kind is QEvent.Type.TouchBegin:
-                self._hold.press(self, self._what, TOUCH)
+                self.begin(TOUCH)
             elif kind is QEvent.Type.TouchUpdate:
                 self._follow(event.points()[0].position())
             elif kind in (QEvent.Type.TouchEnd, QEvent.Type.TouchCancel):
@@ -171,7 +175,7 @@ class HoldButton(QPushButton):
     def mousePressEvent(self, event: QMouseEvent) -> None:
         """Begin."""
         if event.button() is Qt.MouseButton.LeftButton:
-            self._hold.press(self, self._what, MOUSE)
+            self.begin(MOUSE)
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
         """End when the pointer has left by more than the slack."""

@@ -30,6 +30,23 @@ class Panel(QFrame):
             self.column.addWidget(body, 1)
 
 
+class Captioned(QWidget):
+    """A view under a line with its name and, at the right, live details."""
+
+    def __init__(self, title: str, body: QWidget) -> None:
+        super().__init__()
+        self.detail = ElidedLabel("small")
+        self.detail.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        line = QHBoxLayout()
+        line.addWidget(label(title, "muted"))
+        line.addWidget(self.detail, 1)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(4)
+        column.addLayout(line)
+        column.addWidget(body, 1)
+
+
 def label(text: str, role: str = "", *, wrap: bool = False) -> QLabel:
     """Return a plain-text label with a role of the style sheet."""
     made = QLabel(text)

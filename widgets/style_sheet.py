@@ -35,7 +35,7 @@ QPushButton:hover, QToolButton:hover {{ background: {hover}; }}
 QPushButton:pressed, QToolButton:pressed {{ background: {panel}; }}
 QPushButton:disabled, QToolButton:disabled {{ color: {disabled}; border-color: {hairline};
     background: {panel}; }}
-QPushButton:focus, QToolButton:focus, QComboBox:focus, QSpinBox:focus, QLineEdit:focus {{
+QPushButton:focus, QToolButton:focus, QComboBox:focus, QAbstractSpinBox:focus, QLineEdit:focus {{
     border: 2px solid {focus}; }}
 QPushButton[role="primary"] {{ background: {text}; color: {panel}; border-color: {text};
     font-weight: 600; min-height: 28px; }}
@@ -62,19 +62,26 @@ QToolButton[role="plain"] {{ background: transparent; border: 1px solid transpar
 QToolButton[role="plain"]:hover {{ background: {raised}; color: {text}; }}
 QToolButton[role="plain"]:focus {{ border: 1px solid {focus}; }}
 
-QComboBox, QSpinBox, QLineEdit {{ background: {bg}; color: {text}; border: 1px solid {border};
-    border-radius: 5px; padding: 3px 8px; min-height: 24px; selection-background-color: {selection};
-    selection-color: {selection_text}; }}
-QComboBox:disabled, QSpinBox:disabled, QLineEdit:disabled {{ color: {muted};
+QPushButton[role="hold"] {{ padding: 2px; font-weight: 600; min-height: 40px; }}
+QPushButton[role="choice"] {{ padding: 2px 6px; min-height: 22px; }}
+QPushButton[role="choice"]:checked, QPushButton:checked {{ background: {selection};
+    color: {selection_text}; border-color: {selection}; }}
+QFrame[role="card"][armed="yes"] {{ border: 3px solid {focus}; }}
+
+QComboBox, QAbstractSpinBox, QLineEdit {{ background: {bg}; color: {text};
+    border: 1px solid {border}; border-radius: 5px; padding: 3px 8px; min-height: 24px;
+    selection-background-color: {selection}; selection-color: {selection_text}; }}
+QComboBox:disabled, QAbstractSpinBox:disabled, QLineEdit:disabled {{ color: {muted};
     border-color: {hairline}; background: {panel}; }}
 QComboBox::drop-down {{ border: none; width: 22px; }}
 QComboBox::down-arrow {{ image: url(icons:down-{name}.svg); width: 10px; height: 10px; }}
 QComboBox::down-arrow:disabled {{ image: none; }}
 QComboBox QAbstractItemView {{ background: {raised}; color: {text}; border: 1px solid {border};
     selection-background-color: {selection}; selection-color: {selection_text}; }}
-QSpinBox::up-button, QSpinBox::down-button {{ border: none; width: 18px; background: transparent; }}
-QSpinBox::up-arrow {{ image: url(icons:up-{name}.svg); width: 9px; height: 9px; }}
-QSpinBox::down-arrow {{ image: url(icons:down-{name}.svg); width: 9px; height: 9px; }}
+QAbstractSpinBox::up-button, QAbstractSpinBox::down-button {{ border: none; width: 18px;
+    background: transparent; }}
+QAbstractSpinBox::up-arrow {{ image: url(icons:up-{name}.svg); width: 9px; height: 9px; }}
+QAbstractSpinBox::down-arrow {{ image: url(icons:down-{name}.svg); width: 9px; height: 9px; }}
 
 QAbstractSpinBox QLineEdit {{ border: none; padding: 0; background: transparent;
     min-height: 0; }}
@@ -99,11 +106,11 @@ QListWidget::item {{ padding: 6px 8px; }}
 
 _CONTRAST = """
 QPushButton:disabled, QToolButton:disabled, QPushButton[role="primary"]:disabled,
-QComboBox:disabled, QSpinBox:disabled, QLineEdit:disabled {{ color: {disabled};
+QComboBox:disabled, QAbstractSpinBox:disabled, QLineEdit:disabled {{ color: {disabled};
     border: 1px dashed {border}; font-weight: 400; }}
 QAbstractSpinBox QLineEdit:disabled {{ border: none; }}
 QToolButton[role="rail"]:disabled, QToolButton[role="plain"]:disabled {{ border: none; }}
-QSpinBox::up-arrow:disabled, QSpinBox::down-arrow:disabled {{ image: none; }}
+QAbstractSpinBox::up-arrow:disabled, QAbstractSpinBox::down-arrow:disabled {{ image: none; }}
 """
 """Where all is black or white, what is disabled differs by its frame too, not by shade alone."""
 

@@ -81,6 +81,11 @@ class LabelPresenter:
         self._nudging.setInterval(NUDGES_MS)
         self._nudging.timeout.connect(lambda: self.do(self._save_edit))
 
+    @property
+    def nudging(self) -> bool:
+        """Whether an edit waits for the end of the nudges."""
+        return self._nudging.isActive()
+
     def close(self) -> None:
         """End the reading ahead; an edit that waits is saved first."""
         if self._nudging.isActive():

@@ -32,6 +32,7 @@ class Walk:
         self.entries: dict[str, EpisodeEntry] = {}
         self.badges: dict[str, tuple[str, ...]] = {}
         self.at = -1
+        self.begun = False
 
     @property
     def uuid(self) -> str | None:
@@ -40,6 +41,7 @@ class Walk:
 
     def begin(self, order: Sequence[str], entries: Mapping[str, EpisodeEntry], stay: str) -> None:
         """Take a queue; begin with ``stay`` if it is in it, else with the first."""
+        self.begun = True
         self.order, self.entries = list(order), dict(entries)
         self._rows.show_rows([self._row(uuid) for uuid in self.order])
         self.at = self.order.index(stay) if stay in self.order else (0 if self.order else -1)
@@ -63,6 +65,10 @@ class Walk:
         return InputError("The queue is empty.", "queue", "Choose another.") if uuid is None else (
             self._prefetch.get(uuid)
         )  # fmt: skip
+
+    def held(self) -> tuple[str, ...]:
+        """Return which episodes are in memory."""
+        return self._prefetch.held()
 
     def note(self, entry: EpisodeEntry, badges: tuple[str, ...] | None = None) -> None:
         """Take what is new of an episode, and show its row anew."""

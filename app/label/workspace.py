@@ -42,7 +42,7 @@ class LabelWorkspace(Workspace):
         self.page = Halves()
         self.page.add("label", "Label", self.label_page)
         self.post = Post(self.page)
-        self._commits: Commits | None = None
+        self.commits: Commits | None = None
         self.presenter: LabelPresenter | None = None
         self.decisions: Decisions | None = None
         self.side: SidePresenter | None = None
@@ -73,9 +73,9 @@ class LabelWorkspace(Workspace):
         """Save what waits, end the threads, let others write."""
         if self.presenter is not None:
             self.presenter.close()
-        if self._commits is not None:
-            self._commits.close()
-            self._commits = None
+        if self.commits is not None:
+            self.commits.close()
+            self.commits = None
         if self._opened is not None:
             self._opened.dataset.close()
             self._opened = None
@@ -114,21 +114,21 @@ class LabelWorkspace(Workspace):
         self.label_page.list.fit_to_theme()
 
     def _open(self) -> None:
-        if self._commits is None:
-            self._commits = Commits(self.post)
-        elif self._commits.busy:
+        if self.commits is None:
+            self.commits = Commits(self.post)
+        elif self.commits.busy:
             return
         self.label_page.say("Opening the dataset …")
-        self._commits.submit(opener(self.folder, self.sitting.person), self._take, self._failed)
+        self.commits.submit(opener(self.folder, self.sitting.person), self._take, self._failed)
 
     def _take(self, opened: Opened) -> None:
-        assert self._commits is not None
+        assert self.commits is not None
         self._opened = opened
         self.presenter = LabelPresenter(
-            self.label_page, opened.dataset, opened.prelabel, self._commits, self.post, self.sitting
+            self.label_page, opened.dataset, opened.prelabel, self.commits, self.post, self.sitting
         )
         self.decisions = Decisions(self.label_page, self.presenter)
-        self.side = SidePresenter(self.label_page.side, self.presenter, self._commits)
+        self.side = SidePresenter(self.label_page.side, self.presenter, self.commits)
         self.label_page.say("")
         for notice in (*opened.dataset.notices, opened.read_only):
             if notice:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from app.activity import ACTIVE, busy
 from app.link import Link
+from app.outlines import outlines
 from app.run_story import ProbeLook, RunStory, TrialStory, scene_of
 from app.stack.page import StackPage
 from app.tally import wilson
 from backend.core.facts import Fact, TrialFinished
 from backend.core.faults import InputError, RefusedError
-from backend.core.flow import FloatArray, Outcome
-from backend.objects.catalogue import Piece
+from backend.core.flow import Outcome
 from backend.runs.requests import Mode, RunState, RunStatus, StackRequest, Strategy
 from widgets.belief_scene import BeliefScene
 from widgets.decision_panel import (
@@ -211,25 +211,9 @@ class StackPresenter:
         look = trial.probes[index]
         kept = self._scenes.get(key)
         if kept is None or kept[0] is not look:
-            kept = look, scene_of(trial, index, *self._outlines())
+            kept = look, scene_of(trial, index, *outlines(self._link.catalogue, self.story.head))
             self._scenes[key] = kept
         return kept[1]
-
-    def _outlines(self) -> tuple[FloatArray | None, FloatArray | None]:
-        head = self.story.head
-        if head is None:
-            return None, None
-        return self._outline(head.piece), self._outline(head.bottom.split("+")[-1])
-
-    def _outline(self, name: str) -> FloatArray | None:
-        piece = self._piece(name)
-        return None if piece is None else piece.face.polygon(96)
-
-    def _piece(self, name: str) -> Piece | None:
-        try:
-            return self._link.catalogue.piece(name)
-        except InputError:
-            return None
 
     def _score(self) -> Score:
         outcomes = self.story.outcomes

@@ -98,6 +98,7 @@ class StandInBench:
     """Satisfies ``app.link.Link``."""
 
     simulated = True
+    hand = None
 
     def __init__(self):
         self.hub, self.interlock, self.catalogue = Hub(), Interlock(), load_catalogue()

@@ -1,0 +1,1 @@
+"""The Operate workspace: feel, jog, grip, probe once."""

@@ -1,0 +1,187 @@
+"""The Operate workspace as the frame sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from app.link import Link
+from app.live import LivePresenter, LiveViews
+from app.operate.hand import HandPresenter
+from app.operate.jog_keys import ROWS, JogKeys
+from app.operate.page import OperateIntents, OperatePage
+from app.operate.probe import PHASES, ProbePresenter
+from app.outlines import outlines
+from app.run_story import RunStory, scene_of
+from app.workspace import Command, Desk, Memory, Workspace
+from backend.core.facts import Fact
+from backend.devices.jog import STEPS_MM
+from widgets.belief_scene import BeliefScene
+
+
+class OperateWorkspace(Workspace):
+    """Live views, belief of the last run, probe once, jog and gripper."""
+
+    name, title, key = "operate", "Operate", "Ctrl+1"
+    held_keys = ROWS
+    page: OperatePage
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        self.live: LivePresenter | None = None
+        self.hand: HandPresenter | None = None
+        self.probe: ProbePresenter | None = None
+        self._link: Link | None = None
+        self._story, self._shown = RunStory(), -1
+        intents = OperateIntents(
+            renew=self._renew, ended=self._ended, step=self._step, arm_keys=self._arm_keys,
+            grip=self._grip, open=self._open, probe=self._probe, cancel=self._cancel,
+            zero=self._zero, baseline=self._baseline, span=self._span, pause=self._pause,
+        )  # fmt: skip
+        self.page = OperatePage(desk.theme, intents, STEPS_MM, PHASES)
+        self.keys = JogKeys(self.page, self.page.jog)
+        self.commands = self._commands()
+
+    def attach(self, link: Link) -> None:
+        """Show this bench."""
+        page = self.page
+        self._link = link
+        views = LiveViews(page.tactile, page.captions, page.force, page.moment)
+        self.live = LivePresenter(link, views)
+        self.hand = HandPresenter(link, page, self._desk.cards)
+        self.probe = ProbePresenter(link, page.probe, self._desk.cards)
+        self.parts = (
+            self.live.draw_left, self.live.draw_right, self.live.draw_wrench,
+            self.live.draw_headers, self.hand.draw, self.probe.draw, self._draw_belief,
+        )  # fmt: skip
+
+    def take(self, fact: Fact) -> None:
+        """Follow the runs."""
+        self._story.take(fact)
+        if self.probe is not None:
+            self.probe.take(fact)
+
+    def show_waiting(self, word: str, why: str) -> None:
+        """Say why there is no bench yet."""
+        self.page.show_waiting(why)
+
+    def leave(self) -> None:
+        """Nothing moves by hand on a page that is not seen."""
+        self.page.jog.hold.end("another page came to the front")
+        self.keys.disarm()
+
+    def fit_to_theme(self) -> None:
+        """Take the sizes of the theme."""
+        self.page.fit_to_theme()
+
+    def reset_layout(self) -> None:
+        """Choose the first entry everywhere."""
+        for chooser in (self.page.looks, self.page.span, self.page.maps):
+            chooser.setCurrentIndex(0)
+
+    def memory(self) -> Memory:
+        """Return what was chosen."""
+        page = self.page
+        return {
+            "look": page.looks.currentIndex(),
+            "span": page.span.currentIndex(),
+            "map": page.maps.currentIndex(),
+            "grip_n": page.gripper.force.value(),
+        }
+
+    def recall(self, memory: Memory) -> Sequence[str]:
+        """Choose again what was chosen."""
+        dropped, page = [], self.page
+        for name, chooser in (("look", page.looks), ("span", page.span), ("map", page.maps)):
+            index = memory.get(name, 0)
+            if type(index) is int and 0 <= index < chooser.count():
+                chooser.setCurrentIndex(index)
+            else:
+                dropped.append(name)
+        grip_n = memory.get("grip_n", page.gripper.force.value())
+        if isinstance(grip_n, float):
+            page.gripper.force.setValue(grip_n)
+        else:
+            dropped.append("grip_n")
+        return dropped
+
+    def close(self) -> None:
+        """Let go."""
+        self.leave()
+
+    # -- orders -----------------------------------------------------------------------------------
+
+    def _commands(self) -> tuple[Command, ...]:
+        jog = self.page.jog
+        return (
+            Command("probe", "Probe once", "F5", self._probe),
+            Command("grip", "Grip the piece", "G", self._grip),
+            Command("open", "Open the gripper", "Shift+G", self._open),
+            Command("zero", "Zero force and moment", "Z", self._zero),
+            Command("baseline", "Take the tactile reference anew", "B", self._baseline),
+            Command("arm", "Arm or disarm the jog keys", "J", jog.keys.toggle),
+            Command("shorter", "Shorter step, down to hold-to-run", "[", lambda: jog.next_step(-1)),
+            Command("longer", "Longer step", "]", lambda: jog.next_step(1)),
+            Command("frame", "Jog in the other frame", "F", jog.next_frame),
+            Command("freeze", "Hold the traces still", "Ctrl+P", self.page.pause.toggle),
+            Command("fit", "Fit the force and moment ranges", "Ctrl+F", self.page.fit),
+        )
+
+    def _renew(self, what: str) -> bool:
+        return self.hand is not None and self.hand.renew(what)
+
+    def _ended(self, cause: str) -> None:
+        if self.hand is not None:
+            self.hand.ended(cause)
+
+    def _step(self, what: str) -> None:
+        if self.hand is not None:
+            self.hand.step(what)
+
+    def _arm_keys(self, on: bool) -> None:
+        self.keys.arm(on and self.hand is not None and not self.hand.why_not())
+        self.page.jog.show_armed(self.keys.armed)
+
+    def _grip(self) -> None:
+        if self.hand is not None:
+            self.hand.grip()
+
+    def _open(self) -> None:
+        if self.hand is not None:
+            self.hand.open()
+
+    def _probe(self) -> None:
+        if self.probe is not None:
+            self.probe.start()
+
+    def _cancel(self) -> None:
+        if self.probe is not None:
+            self.probe.cancel()
+
+    def _zero(self) -> None:
+        if self.hand is not None:
+            self.hand.zero()
+
+    def _baseline(self) -> None:
+        if self.hand is not None:
+            self.hand.baseline()
+
+    def _span(self, span_s: float) -> None:
+        if self.live is not None:
+            self.live.show_span(span_s)
+
+    def _pause(self, paused: bool) -> None:
+        if self.live is not None:
+            self.live.paused = paused
+
+    def _draw_belief(self) -> None:
+        if self._shown == self._story.version or self._link is None:
+            return
+        self._shown, trial = self._story.version, self._story.trial
+        if trial is None or not trial.probes:
+            self.page.belief.show_scene(BeliefScene())
+            return
+        face, bottom = outlines(self._link.catalogue, self._story.head)
+        scene = scene_of(trial, len(trial.probes) - 1, face, bottom)
+        self.page.belief.show_scene(scene)
+        self.page.legend.show_truth(scene.truth is not None)
+        self.page.belief_panel.detail.setText(f"trial {trial.trial}, probe {len(trial.probes)}")

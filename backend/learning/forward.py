@@ -1,6 +1,6 @@
 """The network applied without torch: one episode at a time, resumable between two ticks.
 
-Where a decision is due torch would cost seconds at the start, 250 MB, and 3 to 4 ms a call. The
+Where a decision is due torch would cost its import, 190 MB, and 3 to 4 ms a call. The
 equations are those of ``torch.nn.LSTM``; ``model.PatchNet`` is what they are tested against.
 
 Products are row by row (``vecdot``) and not with ``@``: those of this size the BLAS of numpy shares

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from rich.table import Table
 from rich.text import Text
 
+from backend.runs.store import dataset_folder
 from backend.verbs import check_machine, check_packages
 from backend.verbs.check import Check, Examine
+from backend.verbs.dataset_care import examine_only
 from backend.verbs.screen import Screen
 
 NAME = "doctor"
@@ -37,11 +40,21 @@ COLOURS = {"OK": "green", "NOTE": "yellow", "FAIL": "bold red"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare no arguments of its own."""
+    """Declare the arguments."""
+    parser.add_argument(
+        "--dataset",
+        nargs="?",
+        const="",
+        metavar="DIR",
+        help="check a dataset instead, changing nothing (default: the one in the data folder)",
+    )
 
 
 def run(args: argparse.Namespace, screen: Screen) -> int:
     """Print all findings; returns 1 if one of them stops Touchdown from working."""
+    if args.dataset is not None:
+        folder = Path(args.dataset) if args.dataset else dataset_folder()
+        return examine_only(folder, screen)
     with screen.progress("Examining", len(EXAMINATIONS)) as advance:
         checks = []
         for look in EXAMINATIONS:

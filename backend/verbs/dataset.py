@@ -1,0 +1,82 @@
+"""``touchdown dataset``: what a dataset holds, and how it is looked after."""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.table import Table
+
+from backend.core.faults import InputError
+from backend.runs.store import dataset_folder
+from backend.verbs import dataset_care
+from backend.verbs.screen import Screen
+
+NAME = "dataset"
+HELP = "show, check, back up and rebuild a dataset"
+JSON_VERSION = 1
+
+
+def status(args: argparse.Namespace, folder: Path, screen: Screen) -> int:
+    """Count the episodes by pair and label state."""
+    from backend.catalogue.dataset import Dataset
+    from backend.catalogue.values import EpisodeFilter
+
+    with Dataset.open(folder, create=False, write=False) as dataset:
+        entries = dataset.episodes(EpisodeFilter(deleted=None))
+        age = dataset.backups.age
+    pairs = Counter((e.piece, e.bottom, "deleted" if e.deleted else e.state) for e in entries)
+    files = Counter(e.file_state for e in entries)
+    states = sorted({state for _, _, state in pairs})
+    table = Table(title=f"{len(entries)} episodes in {folder}")
+    for column in ("piece", "bottom", *states):
+        table.add_column(column, justify="right" if column in states else "left")
+    for piece, bottom in sorted({(piece, bottom) for piece, bottom, _ in pairs}):
+        counts = (str(pairs[piece, bottom, state] or "-") for state in states)
+        table.add_row(piece, bottom, *counts)
+    screen.show(table)
+    for state, count in sorted(files.items()):
+        if state != "complete":
+            screen.say(f"{count} files are {state}.")
+    hours = None if age is None else round(age.total_seconds() / 3600, 1)
+    screen.say("There is no backup." if hours is None else f"Newest backup: {hours} h old.")
+    listed = [
+        {"piece": piece, "bottom": bottom, "state": state, "episodes": count}
+        for (piece, bottom, state), count in sorted(pairs.items())
+    ]
+    answer = {"version": JSON_VERSION, "dataset": str(folder), "episodes": len(entries)}
+    screen.result({**answer, "pairs": listed, "files": dict(files), "backup_age_h": hours})
+    return 0
+
+
+Act = Callable[[argparse.Namespace, Path, Screen], int]
+ACTIONS: dict[str, Act] = {
+    "status": status,
+    "verify": dataset_care.verify,
+    "backup": dataset_care.backup,
+    "restore": dataset_care.restore,
+    "rebuild": dataset_care.rebuild,
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    lines = "; ".join(f"{name}: {(act.__doc__ or '')[:-1]}" for name, act in ACTIONS.items())
+    parser.add_argument("action", nargs="?", choices=ACTIONS, default="status", help=lines)
+    parser.add_argument("other", nargs="?", type=Path, help="the backup to restore")
+    parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
+    parser.add_argument(
+        "--replace", action="store_true", help="rebuild: put the new catalogue in its place"
+    )
+
+
+def run(args: argparse.Namespace, screen: Screen) -> int:
+    """Do one action; returns its exit code."""
+    if args.other is not None and args.action != "restore":
+        raise InputError(
+            f"'{args.action}' takes no file.", str(args.other), "Name the dataset by --dataset."
+        )
+    folder = Path(args.dataset) if args.dataset else dataset_folder()
+    return ACTIONS[args.action](args, folder, screen)

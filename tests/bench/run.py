@@ -25,6 +25,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.agreement",
     "tests.bench.window",
     "tests.bench.stacking",
+    "tests.bench.experiments",
 )
 """Modules that register figures, in the order of the table."""
 

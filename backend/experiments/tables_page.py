@@ -23,7 +23,7 @@ h1{font-size:1.5em}h2{font-size:1.2em;margin:2em 0 .3em}h3{font-size:1em;margin:
 .probe{background:#fff;border:1px solid #C9D0D7;padding:10px;width:232px}
 .probe p{margin:.4em 0;font-size:.85em}.end{font-weight:600}
 table{border-collapse:collapse;background:#fff}
-th{text-align:left;font-weight:600}td{text-align:right;white-space:nowrap}
+th{text-align:left;font-weight:600;white-space:nowrap}td{text-align:right;white-space:nowrap}
 td,th{padding:.35em .7em;border-bottom:1px solid #C9D0D7;vertical-align:top}
 small{color:#55606B;display:block;font-size:.8em}code{font-size:.85em;overflow-wrap:anywhere}
 """
@@ -83,7 +83,7 @@ def _table2(rows: Sequence[Json]) -> str:
         cells = [_stability_cell(cell) for cell in row["cells"]]
         lines.append((names[row["method"]], cells, _pooled(row["pooled"])))
     cells = rows[0]["cells"]
-    excluded = sum(cell.get("excluded", 0) for cell in cells)
+    excluded = max(sum(cell.get("excluded", 0) for cell in row["cells"]) for row in rows)
     return (
         "<h2>Table 2: would it stand?</h2><h3>Right, %, on a sample with as many stable as "
         f"unstable places</h3>{_grid(cells, lines, 'pooled')}"
@@ -105,7 +105,7 @@ def _table3(rows: Sequence[Json]) -> str:
             unsafe = row["unsafe"]
             total = _value(row["pooled"], row["paper_pooled"])
             if unsafe["n"]:
-                total += f"<small>fell {_percent(unsafe['value'])} of {unsafe['n']}</small>"
+                total += f"<small>fell {_percent(unsafe['value'])} % of {unsafe['n']}</small>"
             lines.append((name, cells, total))
         parts.append(f"<h3>{title}: placed, %</h3>{_grid(chosen[0]['cells'], lines, 'pooled')}")
     parts.append(

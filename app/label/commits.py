@@ -27,6 +27,8 @@ class Commits:
         self._post = post
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         self._waiting = 0
+        self.told: Callable[[], None] = _nothing
+        """Called after each end was told, whoever had submitted the job."""
         self._thread = threading.Thread(target=self._run, name="label-commits", daemon=True)
         self._thread.start()
 
@@ -66,3 +68,8 @@ class Commits:
     def _tell(self, tell: Callable[[Any], None], what: object) -> None:
         self._waiting -= 1
         tell(what)
+        self.told()
+
+
+def _nothing() -> None:
+    """Do nothing: nobody waits."""

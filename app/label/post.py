@@ -23,6 +23,10 @@ class Post(QObject):
         self._letters.append(letter)
         self._arrived.emit()
 
+    def close(self) -> None:
+        """Throw away what is still on its way: whoever it was for has ended."""
+        self._letters.clear()
+
     def _open(self) -> None:
         # One letter per call: each has its own turn of the event loop.
         if self._letters:

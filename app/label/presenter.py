@@ -152,6 +152,7 @@ class LabelPresenter:
             self.present is None or self.present.item.entry.uuid != uuid
         ):
             self._show_present()
+            self.saving.go_on()
 
     def _show_present(self) -> None:
         """Show the present episode; while it is being read the former picture stays."""

@@ -36,6 +36,7 @@ class Saving:
         self._intents: deque[Intent] = deque()
         self._draining = self._held = False
         self.trouble: Trouble | None = None
+        commits.told = self._drain
 
     @property
     def busy(self) -> bool:
@@ -43,8 +44,11 @@ class Saving:
         return self._held or self._commits.busy
 
     def hold(self, held: bool) -> None:
-        """Let intents wait (the next episode is still being read), or go on."""
+        """Let intents wait while the next episode is still being read."""
         self._held = held
+
+    def go_on(self) -> None:
+        """Do what waited, if nothing is in the way any more."""
         self._drain()
 
     def after(self, intent: Intent) -> None:
@@ -59,7 +63,6 @@ class Saving:
             self.trouble = None
             done(result)
             self._changed()
-            self._drain()
 
         def failed(error: Exception) -> None:
             self._intents.clear()

@@ -76,6 +76,7 @@ class LabelWorkspace(Workspace):
         if self.commits is not None:
             self.commits.close()
             self.commits = None
+        self.post.close()
         if self._opened is not None:
             self._opened.dataset.close()
             self._opened = None

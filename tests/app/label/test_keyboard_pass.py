@@ -1,0 +1,179 @@
+"""A person labels a whole queue with the keyboard, and nothing is lost on the way."""
+
+from collections import Counter
+
+import pytest
+from PySide6.QtCore import QEvent, QObject, Qt
+
+from tests.app.label.conftest import CTRL, ITEMS, KEY, PUNCTUATION, SHIFT, WITHOUT_LABEL
+from tests.app.stand_in import StandInBench
+
+
+class MouseWatch(QObject):
+    """Counts what a mouse would send."""
+
+    def __init__(self):
+        super().__init__()
+        self.events = 0
+
+    def eventFilter(self, _watched, event):  # noqa: N802
+        self.events += event.type() in (QEvent.Type.MouseButtonPress, QEvent.Type.Wheel)
+        return False
+
+
+@pytest.mark.slow
+def test_a_pass_of_fifty_items_without_the_mouse(qapp, start):
+    desk, bench, watch = start(), StandInBench(), MouseWatch()
+    qapp.installEventFilter(watch)
+    desk.main.attach(bench)
+    decided = Counter()
+    order = list(desk.workspace.presenter.walk.order)
+    labelled = ITEMS - WITHOUT_LABEL
+    for number in range(labelled):
+        assert desk.uuid == order[number]
+        way = number % 5
+        if way == 0:
+            desk.do(KEY.Key_Return)
+        elif way == 1:
+            desk.do((KEY.Key_Right, Qt.KeyboardModifier.NoModifier), KEY.Key_Return)
+        elif way == 2:
+            desk.type("1.5,-2")
+            assert desk.page.entry.text() == "1.5,-2"
+            desk.do(KEY.Key_Return, KEY.Key_Return)
+        elif way == 3:
+            desk.do(KEY.Key_D, KEY.Key_2)
+        else:
+            desk.do(KEY.Key_X, KEY.Key_PageDown)
+        decided["rejected" if way == 3 else "draft" if way == 4 else "submitted"] += 1
+    qapp.removeEventFilter(watch)
+    states = Counter(desk.book.head(uuid).state for uuid in order[:labelled])
+    assert states == decided
+    assert watch.events == 0
+    assert (bench.started, bench.stops, bench.engine.orders) == ([], 0, [])
+    typed = desk.book.head(order[2])
+    assert (typed.label.x_um, typed.label.y_um, typed.source) == (1500, -2000, "human")
+    assert typed.label.sigma_um == 200
+    assert desk.book.head(order[3]).reason == "tilt"
+    assert [desk.book.head(uuid).person for uuid in order[:3]] == ["Ann"] * 3
+
+
+def test_no_key_of_the_page_moves_the_bench(start):
+    desk, bench = start(), StandInBench()
+    desk.main.attach(bench)
+    keys = [row for row in desk.main.actions.rows if row.context == "collect" and row.key]
+    assert not {"R", "N", "G", "A", "F5"} & {row.key for row in keys}
+    for key in (KEY.Key_R, KEY.Key_N, KEY.Key_G, KEY.Key_A, KEY.Key_F5, KEY.Key_Space):
+        desk.do(key)
+    assert (bench.started, bench.stops, bench.engine.orders) == ([], 0, [])
+
+
+def test_arrows_nudge_by_whole_steps(desk):
+    before = desk.now.edit.label
+    alt = Qt.KeyboardModifier.AltModifier
+    desk.press(KEY.Key_Right)
+    desk.press(KEY.Key_Up, SHIFT)
+    desk.press(KEY.Key_Left, alt)
+    edit = desk.now.edit
+    assert edit.label.x_um == before.x_um + 100 - 10
+    assert edit.label.y_um == before.y_um + 1000
+    desk.settle()
+    assert len(desk.book.history(desk.uuid)) == 2  # nudges within half a second are one revision
+    assert desk.page.strip.saved.endswith("rev 2")
+
+
+def test_keys_pressed_while_a_save_is_under_way_follow_it_in_order(desk, hold_saves):
+    first, second, third = desk.workspace.presenter.walk.order[:3]
+    release = hold_saves(desk)
+    for key in (KEY.Key_Return, KEY.Key_Return, KEY.Key_D, KEY.Key_1):
+        desk.press(key)
+    assert desk.book.head(first).state == "draft"
+    release()
+    desk.settle()
+    assert [desk.book.head(u).state for u in (first, second, third)] == [
+        "submitted", "submitted", "rejected",
+    ]  # fmt: skip
+    assert desk.book.head(third).reason == "slip in grasp"
+
+
+def test_a_question_takes_only_its_own_keys(desk):
+    uuid = desk.uuid
+    desk.do(KEY.Key_D)
+    assert desk.page.choice.isVisible()
+    desk.do(KEY.Key_Return, KEY.Key_X, KEY.Key_Escape)
+    assert not desk.page.choice.isVisible()
+    assert desk.book.head(uuid).state == "draft"
+    assert desk.book.marks(uuid) == {}
+
+
+def test_another_reason_is_asked_for_in_words(desk):
+    uuid = desk.uuid
+    desk.do(KEY.Key_D, KEY.Key_9)
+    desk.type("DUST")
+    desk.do(KEY.Key_Return)
+    assert desk.book.head(uuid).reason.upper() == "DUST"
+
+
+def test_a_typed_displacement_that_makes_no_sense_stays_in_the_line(desk):
+    uuid = desk.uuid
+    desk.type("1.5")
+    desk.do(KEY.Key_Return)
+    assert desk.page.entry.isVisible()
+    assert "Type x,y" in desk.page.message.text()
+    desk.do(KEY.Key_Escape)
+    assert not desk.page.entry.isVisible()
+    assert len(desk.book.history(uuid)) == 1
+
+
+def test_the_uncertainty_is_asked_for_once(start):
+    desk = start(sigma_mm=None)
+    first = desk.uuid
+    desk.type("1,2")
+    desk.press(KEY.Key_Return)
+    desk.settle()
+    assert desk.page.choice.isVisible()
+    desk.do(KEY.Key_4)
+    assert desk.book.head(first).label.sigma_um == 300
+    desk.do(KEY.Key_Return)
+    second = desk.uuid
+    desk.type("3,1")
+    desk.do(KEY.Key_Return)
+    assert not desk.page.choice.isVisible()
+    assert desk.book.head(second).label.sigma_um == 300
+
+
+def test_whoever_starts_first_is_asked_for_a_name(start):
+    desk = start(person="")
+    assert desk.workspace.presenter is None
+    assert desk.page.words.isVisible()
+    desk.type("ANN")
+    desk.press(KEY.Key_Return)
+    desk.settle()
+    assert desk.page.person.text().upper() == "ANN"
+    assert desk.workspace.memory()["person"].upper() == "ANN"
+
+
+def test_undo_and_redo_by_both_keys(desk):
+    first = desk.uuid
+    desk.do(KEY.Key_Return, KEY.Key_U)
+    assert (desk.uuid, desk.book.head(first).state) == (first, "draft")
+    desk.do((KEY.Key_U, SHIFT))
+    assert desk.book.head(first).state == "submitted"
+    desk.do((KEY.Key_Z, CTRL))
+    assert desk.book.head(first).state == "draft"
+
+
+def test_reading_ahead_holds_no_more_than_seven_episodes(desk):
+    walk = desk.workspace.presenter.walk
+    for _ in range(20):
+        desk.do(KEY.Key_PageDown)
+        assert len(walk.held()) <= 7
+        assert desk.uuid in walk.held()
+    for _ in range(5):
+        desk.do(KEY.Key_PageUp)
+        assert len(walk.held()) <= 7
+
+
+def test_minus_begins_a_displacement(desk):
+    desk.press(PUNCTUATION["-"])
+    desk.settle()
+    assert desk.page.entry.text() == "-"

@@ -1,0 +1,164 @@
+"""Two persons and one model: who may decide what, and what is shown to whom."""
+
+import pytest
+
+from backend.catalogue.values import Label
+from tests.app.label.conftest import CTRL, ITEMS, KEY, WITHOUT_LABEL
+
+
+def show_queue(desk, name):
+    desk.workspace.presenter.choose_queue(name)
+    desk.settle()
+
+
+def go_to_unlabelled(desk):
+    """Go to the first episode that has no displacement."""
+    desk.workspace.presenter.go_to(ITEMS - WITHOUT_LABEL)
+    desk.settle()
+    assert not desk.now.edit.label.is_set
+
+
+def test_another_person_reviews(desk):
+    first, second = desk.workspace.presenter.walk.order[:2]
+    desk.do(KEY.Key_Return, KEY.Key_Return)
+    show_queue(desk, "review")
+    assert desk.workspace.presenter.walk.order == []  # nobody reviews what they wrote
+    desk.enter_as("Bob")
+    assert desk.page.person.text() == "Bob"
+    assert desk.workspace.presenter.walk.order == [first, second]
+    desk.do(KEY.Key_Return)
+    assert desk.book.head(first).state == "approved"
+    assert desk.book.head(first).person == "Bob"
+    desk.do(KEY.Key_D, KEY.Key_3)
+    assert (desk.book.head(second).state, desk.book.head(second).reason) == (
+        "rejected", "wrong piece",
+    )  # fmt: skip
+    desk.enter_as("Ann")
+    show_queue(desk, "returned")
+    assert desk.workspace.presenter.walk.order == [second]
+
+
+def test_four_eyes_refuse_the_author_and_say_so(desk):
+    uuid = desk.uuid
+    desk.do(KEY.Key_Return)
+    desk.workspace.sitting.queue = "audit"
+    desk.workspace.presenter.go_to(0)
+    desk.settle()
+    desk.do(KEY.Key_Return)
+    assert "another person has to review" in desk.page.message.text()
+    assert desk.book.head(uuid).state == "submitted"
+
+
+def test_review_can_be_taken_back_and_bulk_of_one_is_one_step(desk):
+    uuid = desk.uuid
+    desk.do(KEY.Key_Return)
+    desk.enter_as("Bob")
+    show_queue(desk, "review")
+    desk.do(KEY.Key_Return, KEY.Key_U)
+    assert desk.book.head(uuid).state == "submitted"
+
+
+def test_the_models_displacement_is_accepted_by_one_key_but_not_approved(desk):
+    go_to_unlabelled(desk)
+    uuid, model = desk.uuid, desk.now.item.model
+    assert model is not None
+    desk.do(KEY.Key_Return)
+    head = desk.book.head(uuid)
+    assert (head.source, head.state) == (f"model:{model.weights_sha256}", "submitted")
+    assert head.label.offset_mm == pytest.approx(model.fit.offset_mm, abs=0.001)
+    assert head.label.sigma_um == round(1e3 * model.fit.sigma_mm)
+    assert len(model.weights_sha256) == 64
+
+
+def test_blind_nobody_sees_nor_takes_the_model(desk):
+    desk.do((KEY.Key_B, CTRL))
+    go_to_unlabelled(desk)
+    uuid = desk.uuid
+    assert desk.page.view.scene.ghosts == ()
+    assert "hidden" in desk.page.model_line.text()
+    desk.do(KEY.Key_M, KEY.Key_Return)
+    assert desk.book.head(uuid).state == "unlabelled"
+    assert "no displacement yet" in desk.page.message.text()
+    desk.do(KEY.Key_H, KEY.Key_H)  # blind mode is not lifted by showing
+    assert desk.page.view.scene.ghosts == ()
+
+
+def test_blind_and_time_are_kept_with_the_answer(desk):
+    desk.do((KEY.Key_B, CTRL), KEY.Key_Return)
+    body = desk.book.log(limit=1)[0].body
+    assert body["blind"] is True
+    assert 0 <= body["seen_ms"] < 60_000
+
+
+def test_taking_the_model_keeps_its_name_until_a_person_moves_it(desk):
+    uuid = desk.uuid
+    desk.do(KEY.Key_M)
+    head = desk.book.head(uuid)
+    assert head.source.startswith("model:")
+    desk.press(KEY.Key_Right)
+    desk.settle()
+    head = desk.book.head(uuid)
+    assert (head.source, head.label.sigma_um) == ("human", 200)
+
+
+def test_the_page_says_what_a_label_rests_on(desk):
+    assert "commanded displacement, sigma 0.30 mm" in desk.page.basis.text()
+    desk.press(KEY.Key_Right)
+    desk.settle()
+    assert "set by Ann, sigma 0.20 mm" in desk.page.basis.text()
+    assert [g.kind for g in desk.page.view.scene.ghosts] == ["commanded", "model"]
+
+
+def test_a_far_model_is_badged(desk):
+    desk.now.edit = desk.now.edit.placed(40.0, 40.0).trusted(0.1)
+    desk.workspace.presenter.show_edit()
+    assert any(badge.startswith("model") for badge in desk.page.strip.badges)
+    assert desk.page.strip.warns
+
+
+def test_a_damaged_file_costs_one_episode(start, folder):
+    files = sorted((folder / "raw").rglob("*.mcap")) or sorted(folder.rglob("*.mcap"))
+    data = bytearray(files[1].read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    files[1].write_bytes(bytes(data))
+    desk = start()
+    desk.workspace.presenter.go_to(1)
+    desk.settle()
+    assert desk.now is None
+    assert "cannot be read" in desk.page.message.text()
+    desk.do(KEY.Key_PageDown)
+    assert desk.now is not None
+
+
+def test_what_is_remembered_is_checked(start):
+    desk = start()
+    dropped = desk.workspace.recall({"person": 7, "queue": "x", "sigma_mm": -1.0, "blind": "no"})
+    assert sorted(dropped) == ["blind", "person", "queue", "sigma_mm"]
+    assert desk.workspace.memory()["person"] == "Ann"
+
+
+def test_a_second_window_looks_but_does_not_write(start, folder):
+    from backend.catalogue.dataset import Dataset
+
+    with Dataset.open(folder, person="Zoe"):
+        desk = start()
+        uuid = desk.uuid
+        desk.do(KEY.Key_Return)
+        assert "reading only" in desk.page.message.text()
+        assert desk.book.head(uuid).state == "draft"
+
+
+def test_the_label_moves_every_view_to_one_instant(desk):
+    desk.do(KEY.Key_BracketLeft)
+    t_s = desk.page.film.cursor_s
+    assert desk.page.forces.cursor_s == desk.page.moments.cursor_s == t_s
+    assert desk.now.item.span_s[0] <= t_s < 2.0
+
+
+def test_labels_without_displacement_ask_for_one(desk):
+    desk.do((KEY.Key_B, CTRL))
+    go_to_unlabelled(desk)
+    assert desk.page.verdict.text() == "No displacement yet"
+    desk.press(KEY.Key_Right)
+    desk.settle()
+    assert desk.book.head(desk.uuid).label == Label(100, 0, 0, 200)

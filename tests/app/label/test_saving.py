@@ -1,0 +1,161 @@
+"""What cannot be saved stays in sight; what is saved can be taken back, also after a restart."""
+
+import sqlite3
+
+import pytest
+
+from backend.catalogue.values import Label
+from backend.core.faults import Fault, FaultError
+from tests.app.label.conftest import KEY, SHIFT
+
+FULL = Fault("DISK-FULL", "The disk is full.", "Nothing was saved.", "Make room.")
+
+
+def content(desk):
+    """Return what anybody can read of every label."""
+    found = {}
+    for entry in desk.workspace.presenter.dataset.episodes():
+        r = desk.book.head(entry.uuid)
+        found[entry.uuid] = (r.label, r.source, r.state, r.verdict, r.reason,
+                             desk.book.marks(entry.uuid))  # fmt: skip
+    return found
+
+
+@pytest.fixture
+def failing(desk, monkeypatch):
+    """Every save fails until it is mended."""
+    real, broken = desk.book.accept, [True]
+
+    def accept(*args, **more):
+        if broken:
+            raise FaultError(FULL)
+        return real(*args, **more)
+
+    monkeypatch.setattr(desk.book, "accept", accept)
+    return broken.clear
+
+
+def test_a_failed_save_blocks_the_way_until_it_is_saved(desk, failing):
+    uuid = desk.uuid
+    desk.do(KEY.Key_Return)
+    assert desk.page.banner.isVisible()
+    assert "The disk is full. Make room." in desk.page.banner.text.text()
+    assert desk.page.strip.saved == "unsaved"
+    for key in (KEY.Key_PageDown, KEY.Key_PageUp, KEY.Key_Right, KEY.Key_D, KEY.Key_X):
+        desk.do(key)
+        assert desk.uuid == uuid
+        assert not desk.page.choice.isVisible()
+    desk.do(KEY.Key_Return)
+    assert desk.page.banner.isVisible()
+    failing()
+    desk.do(KEY.Key_Return)
+    assert not desk.page.banner.isVisible()
+    assert desk.book.head(uuid).state == "submitted"
+    assert desk.uuid != uuid
+
+
+def test_a_failed_save_can_be_discarded(desk, failing):
+    uuid, before = desk.uuid, desk.book.head(desk.uuid)
+    desk.press(KEY.Key_Right)
+    desk.do(KEY.Key_Return)
+    assert desk.page.banner.isVisible()
+    desk.do(KEY.Key_Escape)
+    assert not desk.page.banner.isVisible()
+    assert desk.book.head(uuid) == before
+    assert desk.now.edit.label == before.label
+    desk.do(KEY.Key_PageDown)
+    assert desk.uuid != uuid
+
+
+def test_what_the_database_raises_is_shown_as_well(desk, monkeypatch):
+    def fail(*_args, **_more):
+        raise sqlite3.OperationalError("disk I/O error")
+
+    monkeypatch.setattr(desk.book, "set", fail)
+    desk.press(KEY.Key_Right)
+    desk.settle()
+    assert "disk I/O error" in desk.page.banner.text.text()
+
+
+def work(desk):
+    """Do some of everything, with keys."""
+    desk.do(KEY.Key_Right, KEY.Key_Return)
+    desk.do(KEY.Key_Return)
+    desk.do(KEY.Key_D, KEY.Key_4)
+    desk.do(KEY.Key_X, KEY.Key_V, KEY.Key_U)
+    desk.type("2,2")
+    desk.do(KEY.Key_Return, KEY.Key_PageDown)
+
+
+@pytest.mark.slow
+def test_undo_and_redo_reach_back_over_restarts(start):
+    desk = start()
+    before = content(desk)
+    work(desk)
+    after = content(desk)
+    assert after != before
+    desk = start()
+    steps = 0
+    while desk.book.can_undo("Ann"):
+        desk.do(KEY.Key_U)
+        steps += 1
+        if steps == 3:
+            desk = start()
+    assert content(desk) == before
+    assert steps == 8
+    desk = start()
+    while desk.book.can_redo("Ann"):
+        desk.do((KEY.Key_U, SHIFT))
+    assert content(desk) == after
+
+
+def test_what_was_nudged_last_is_saved_when_the_window_closes(start):
+    desk = start()
+    uuid, before = desk.uuid, desk.book.head(desk.uuid).label
+    desk.press(KEY.Key_Right)
+    desk = start()
+    assert desk.book.head(uuid).label.x_um == before.x_um + 100
+
+
+def test_anothers_later_change_stands_in_the_way_of_undo(desk):
+    uuid = desk.uuid
+    desk.do(KEY.Key_Return)
+    desk.enter_as("Bob")
+    desk.book.reject("Bob", uuid, "tilt")
+    desk.enter_as("Ann")
+    desk.do(KEY.Key_U)
+    assert "Bob" in desk.page.message.text()
+    assert desk.book.head(uuid).state == "rejected"
+
+
+def test_the_source_of_what_nobody_touched_never_changes(desk):
+    uuid = desk.uuid
+    desk.do(KEY.Key_V, KEY.Key_S)
+    head = desk.book.head(uuid)
+    assert (head.source, head.verdict) == ("commanded", "stable")
+    desk.do(KEY.Key_U, (KEY.Key_U, SHIFT))
+    assert desk.book.head(uuid).source == "commanded"
+    desk.press(KEY.Key_Right)
+    desk.press(KEY.Key_Left)  # there and back: nothing was set
+    desk.do(KEY.Key_Return)
+    assert desk.book.head(uuid).source == "commanded"
+    assert desk.book.head(uuid).state == "submitted"
+
+
+def test_restoring_a_version_makes_a_new_one(desk):
+    uuid, first = desk.uuid, desk.book.head(desk.uuid)
+    desk.press(KEY.Key_Up)
+    desk.settle()
+    desk.page.side.history.choose(1)
+    desk.page.side.history.restore.click()
+    desk.settle()
+    history = desk.book.history(uuid)
+    assert len(history) == 3
+    assert (history[2].label, history[2].source) == (first.label, "commanded")
+
+
+def test_a_label_is_never_taken_from_the_episode_before(desk):
+    desk.type("4,4")
+    desk.do(KEY.Key_Return, KEY.Key_Return)
+    assert desk.now.edit.label != Label(4000, 4000, 0, 200)
+    assert not desk.now.edit.changed

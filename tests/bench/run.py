@@ -26,6 +26,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.window",
     "tests.bench.stacking",
     "tests.bench.experiments",
+    "tests.bench.store_files",
 )
 """Modules that register figures, in the order of the table."""
 

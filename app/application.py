@@ -17,6 +17,7 @@ from app.appearance import Appearance
 from app.arrival import Arrival, failed_card
 from app.cards import card_of, refusal_card
 from app.chips import ChipsPresenter
+from app.desk_dialogs import DeskDialogs
 from app.error_hooks import ErrorBox
 from app.inspect import InspectPresenter
 from app.keys import rows_of
@@ -39,7 +40,6 @@ from backend.core.facts import (
 from backend.core.faults import RefusedError
 from backend.core.hub import Mailbox
 from widgets.fault_cards import CardText, FaultCards, Question
-from widgets.key_sheet import KeySheet
 from widgets.pump import Pump
 from widgets.state_pill import PillState
 from widgets.theme import load_resources
@@ -75,6 +75,7 @@ class TouchdownApp(QObject):
         self._chips: ChipsPresenter | None = None
         self.inspect: InspectPresenter | None = None
         self.actions = Actions(self.window, rows_of(self._commands(), made), settings.keys)
+        self.dialogs = DeskDialogs(self.window, self.actions, self.go, self.remember)
         self._wire_rail()
         self.look.refit = self._refit
         self.pump = Pump(self, self._pull)
@@ -82,7 +83,6 @@ class TouchdownApp(QObject):
         self._stop_key = StopKey(self, self.stop, self._moving)
         application.installEventFilter(self._stop_key)
         self._closing_allowed = False
-        self._sheet: KeySheet | None = None
         self._show_connecting()
         dropped = self._recall(settings)
         self.go(settings.front if settings.front in self.workspaces else FIRST)
@@ -230,6 +230,7 @@ class TouchdownApp(QObject):
             Command("larger", "Larger text", "Ctrl++", self.look.larger),
             Command("smaller", "Smaller text", "Ctrl+-", self.look.smaller),
             Command("keys", "Key sheet", "F1", self._show_keys),
+            Command("palette", "Find a command", "Ctrl+K", self._show_palette),
             Command("fullscreen", "Full screen", "F11", self._full_screen),
             Command("quit", "Quit", "Ctrl+Q", self._quit),
         ]  # fmt: skip
@@ -257,9 +258,10 @@ class TouchdownApp(QObject):
             ws.fit_to_theme()
 
     def _show_keys(self) -> None:
-        if self._sheet is None:
-            self._sheet = KeySheet(self.window)
-        self._sheet.show_rows([(row.title, row.key, row.text) for row in self.actions.rows])
+        self.dialogs.show_keys()
+
+    def _show_palette(self) -> None:
+        self.dialogs.show_palette()
 
     def _full_screen(self) -> None:
         full = self.window.isFullScreen()

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from PySide6.QtCore import QEvent, QObject, QPoint, QPointF, Qt, QTimer
-from PySide6.QtGui import QGuiApplication, QKeyEvent, QMouseEvent, QTouchEvent
+from PySide6.QtGui import QGuiApplication, QKeyEvent, QMouseEvent, QTouchEvent, QWindow
 from PySide6.QtWidgets import QApplication, QPushButton, QSizePolicy, QWidget
 
 RENEW_MS = 100
@@ -99,17 +99,20 @@ class Hold(QObject):
         elif kind is QEvent.Type.ApplicationDeactivate:
             self.end("the program was left")
         elif isinstance(event, QKeyEvent):
-            self._key(event)
+            self._key(event, at_window=isinstance(watched, QWindow))
         return False
 
     # -- inside -----------------------------------------------------------------------------------
 
-    def _key(self, event: QKeyEvent) -> None:
+    def _key(self, event: QKeyEvent, *, at_window: bool) -> None:
         if event.isAutoRepeat():
             return
         if event.type() is QEvent.Type.KeyRelease:
             self.release(event.key())
-        elif event.type() is QEvent.Type.KeyPress and event.key() != self._source:
+        elif (
+            # A press on its way to the window may mean STOP while this still moves.
+            event.type() is QEvent.Type.KeyPress and not at_window and event.key() != self._source
+        ):
             self.end("another key was pressed")
 
     def _watch(self) -> None:

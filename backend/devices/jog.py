@@ -86,6 +86,7 @@ class Jog:
         self._ended = self._opened = 0
         self._step: tuple[Motion, Way] | None = None
         self.state = JogState()
+        interlock.on_stop(self._stopped)
 
     @property
     def active(self) -> bool:
@@ -170,6 +171,14 @@ class Jog:
                 self._tell(error)
 
     # -- inside -----------------------------------------------------------------------------------
+
+    def _stopped(self) -> None:
+        """STOP halts the arm itself; what was held needs a new press."""
+        with self._lock:
+            if self._order is not None:
+                self._ended = max(self._ended, self._order.hold)
+            self._order = self._step = None
+        self.state = JogState()
 
     def _watch_step(self, motion: Motion, way: Way) -> None:
         try:

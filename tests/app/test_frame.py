@@ -112,9 +112,9 @@ def test_scale_and_theme_switch_live(live):
 def test_the_key_sheet_opens_without_blocking(live):
     live.actions.action("keys").trigger()
     settle(live)
-    assert live._sheet.isVisible()
-    assert not live._sheet.isModal()
-    live._sheet.close()
+    assert live.dialogs.sheet.isVisible()
+    assert not live.dialogs.sheet.isModal()
+    live.dialogs.sheet.close()
 
 
 # -- settings --------------------------------------------------------------------------------------

@@ -1,0 +1,199 @@
+"""Keys: one meaning in each context, found in the palette, changed without a conflict, kept."""
+
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QAbstractButton, QLabel
+
+from app.application import TouchdownApp
+from app.error_hooks import ErrorBox
+from app.keys import EVERYWHERE, plain, portable, refusal
+from tests.app.conftest import settle
+from widgets.command_palette import Choice, best, score
+
+
+def test_workspaces_have_their_keys_and_stand_in_the_order_of_the_rail(main):
+    keys = [(name, main.actions.action(name).shortcut().toString()) for name in main.workspaces]
+    order = [n for n in ("operate", "collect", "train", "stack", "review") if n in main.workspaces]
+    assert [name for name, _ in keys] == order
+    wanted = {"operate": "1", "collect": "2", "train": "3", "stack": "4", "review": "5"}
+    assert keys == [(name, f"Ctrl+{wanted[name]}") for name in order]
+
+
+@pytest.mark.parametrize(
+    ("key", "typed"),
+    [("N", True), ("Shift+G", True), ("Left", True), ("F5", False), ("Ctrl+N", False),
+     ("Alt+1", False), ("[", True), ("", False)],
+)  # fmt: skip
+def test_which_keys_could_be_typed(key, typed):
+    assert plain(key) is typed
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "word"),
+    [
+        ("stack.pause", "A", "Approve"),
+        ("stack.pause", "F12", "STOP"),
+        ("stack.pause", "space", "STOP"),
+        ("stack.pause", "Ctrl+K", "Find a command"),
+        ("stack.pause", "Nonsense+Q", "is no key"),
+        ("theme", "P", "Pause"),
+        ("nothing", "P", "no command"),
+    ],
+)
+def test_a_key_that_has_a_meaning_is_refused_by_name(main, name, key, word):
+    assert word in refusal(main.actions.rows, name, key)
+    assert main.actions.change_key(name, key) == refusal(main.actions.rows, name, key)
+
+
+def test_a_jog_key_cannot_be_given_away_in_operate(main):
+    assert "Jog" in refusal(main.actions.rows, "operate.probe", "Left")
+    assert refusal(main.actions.rows, "stack.pause", "Left") == ""
+
+
+def test_two_workspaces_may_use_one_key(main):
+    assert refusal(main.actions.rows, "stack.pause", "G") == ""
+
+
+def test_a_changed_key_survives_a_restart_and_acts(qapp, qtbot, tmp_path, main):
+    assert main.actions.change_key("stack.pause", "F9") == ""
+    assert main.actions.change_key("stack.fit", "") == ""
+    main.remember()
+    again = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
+    try:
+        assert again.actions.action("stack.pause").shortcut().toString() == "F9"
+        assert again.actions.action("stack.fit").shortcut().toString() == ""
+        assert again.actions.change_key("stack.pause", "P") == ""
+        assert "stack.pause" not in again.actions.changed
+    finally:
+        again.close()
+        again.window.deleteLater()
+        again.deleteLater()
+
+
+def test_remembered_keys_that_clash_are_dropped_and_named(qapp, tmp_path):
+    path = tmp_path / "window.json"
+    path.write_text('{"version": 2, "keys": {"stack.pause": "F12", "theme": "Ctrl+Y"}}')
+    main = TouchdownApp(qapp, ErrorBox(), path, tmp_path / "runs")
+    try:
+        assert main.actions.action("stack.pause").shortcut().toString() == "P"
+        assert main.actions.action("theme").shortcut().toString() == "Ctrl+Y"
+        assert "stack.pause" in main.cards.card("SETTINGS").text.what
+    finally:
+        main.close()
+        main.window.deleteLater()
+        main.deleteLater()
+
+
+def test_every_action_has_text_tip_and_a_place_in_the_palette(main):
+    names = {choice.name for choice in main.dialogs._choices()}
+    for row in main.actions.rows:
+        if row.command is not None:
+            action = main.actions.action(row.id)
+            assert action.text()
+            assert action.toolTip()
+            assert row.id in names
+
+
+# -- palette ---------------------------------------------------------------------------------------
+
+CHOICES = [
+    Choice("a", "Operate", "Probe once", "F5"),
+    Choice("b", "Operate", "Zero force and moment", "Z"),
+    Choice("c", "Everywhere", "Full screen", "F11"),
+    Choice("d", "Stack", "Pause or resume", "P"),
+]
+
+
+@pytest.mark.parametrize(
+    ("query", "first"),
+    [("probe", "a"), ("prb", "a"), ("zero", "b"), ("zfm", "b"), ("full", "c"), ("fs", "c"),
+     ("PAUSE", "d"), ("resume", "d"), ("stack", "d")],
+)  # fmt: skip
+def test_a_part_of_the_name_finds_it(query, first):
+    assert best(query, CHOICES)[0].name == first
+
+
+def test_what_does_not_occur_is_not_found():
+    assert best("qqq", CHOICES) == []
+    assert score("ba", "ab") is None
+    assert [c.name for c in best("", CHOICES)] == ["a", "b", "c", "d"]
+
+
+def test_the_palette_works_with_keys_alone(live, qtbot):
+    live.actions.action("palette").trigger()
+    palette = live.dialogs.palette
+    assert palette.isVisible()
+    assert not palette.isModal()
+    QTest.keyClicks(palette.field, "next theme")
+    assert palette.shown()[0] == "theme"
+    before = live.theme.tokens.name
+    QTest.keyClick(palette.field, Qt.Key.Key_Return)
+    assert not palette.isVisible()
+    assert live.theme.tokens.name != before
+
+
+def test_a_command_of_another_page_brings_that_page(live):
+    live.actions.action("palette").trigger()
+    palette = live.dialogs.palette
+    QTest.keyClicks(palette.field, "look for new runs")
+    QTest.keyClick(palette.field, Qt.Key.Key_Down)
+    QTest.keyClick(palette.field, Qt.Key.Key_Up)
+    QTest.keyClick(palette.field, Qt.Key.Key_Return)
+    assert live.window.front == "review"
+
+
+def test_a_key_is_changed_from_the_palette(live, qtbot):
+    live.actions.action("palette").trigger()
+    palette = live.dialogs.palette
+    QTest.keyClicks(palette.field, "change key of pause or resume")
+    QTest.keyClick(palette.field, Qt.Key.Key_Return)
+    asker = live.dialogs.asker
+    assert asker.isVisible()
+    QTest.keyClick(asker, Qt.Key.Key_A)
+    assert "already means" in asker.said.text()
+    QTest.keyClick(asker, Qt.Key.Key_F9)
+    assert live.actions.action("stack.pause").shortcut().toString() == "F9"
+    QTest.keyClick(asker, Qt.Key.Key_Escape)
+    assert not asker.isVisible()
+
+
+def test_the_key_sheet_shows_the_keys_of_now(live):
+    live.actions.change_key("stack.pause", "F9")
+    live.actions.action("keys").trigger()
+    settle(live)
+    texts = {label.text() for label in live.dialogs.sheet.findChildren(QLabel)}
+    assert {"F9", "F12", "Ctrl+1", "PgUp"} <= texts
+    live.dialogs.sheet.close()
+
+
+# -- names -----------------------------------------------------------------------------------------
+
+
+def test_every_widget_that_takes_the_focus_has_a_name(live):
+    """A screen reader must find a word for whatever Tab reaches, on every page."""
+    nameless = []
+    for name in live.workspaces:
+        live.go(name)
+        page = live.workspaces[name].page
+        nameless += [
+            (name, type(widget).__name__)
+            for widget in page.findChildren(QAbstractButton)
+            if not (widget.accessibleName() or widget.text())
+            and not widget.objectName().startswith("qt_")
+        ]
+        for widget in page.findChildren(type(page).__mro__[1]):
+            reached = bool(widget.focusPolicy() & Qt.FocusPolicy.TabFocus)
+            inner = widget.objectName().startswith("qt_") or widget.parent().inherits(
+                "QAbstractSpinBox"
+            )
+            text = getattr(widget, "text", None)
+            named = widget.accessibleName() or (callable(text) and text())
+            if reached and not inner and not named and not widget.inherits("QScrollBar"):
+                nameless.append((name, type(widget).__name__))
+    assert nameless == []
+
+
+def test_contexts_are_known(main):
+    assert {row.context for row in main.actions.rows} <= {EVERYWHERE, *main.workspaces}
+    assert all(portable(row.key) for row in main.actions.rows if row.key)

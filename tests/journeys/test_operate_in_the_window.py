@@ -1,0 +1,265 @@
+"""An operator moves the bench by hand: the real window on the real bench, stepped by the test."""
+
+import numpy as np
+import pytest
+from PySide6.QtCore import QEvent, Qt
+from PySide6.QtGui import QKeyEvent
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication, QMessageBox
+
+from app.application import TouchdownApp
+from app.error_hooks import ErrorBox
+from backend.assembly import simulated_session
+from backend.core.flow import Pose
+from backend.runs.requests import RunState, SceneChoice
+from backend.session import Keep
+
+STEP_S = 0.02
+
+
+class SteppedSession:
+    """A session whose time the test turns."""
+
+    def __init__(self, session):
+        self._session = session
+
+    def __getattr__(self, name):
+        return getattr(self._session, name)
+
+    def open(self):
+        """No thread."""
+
+
+@pytest.fixture
+def desk(qapp, qtbot, tmp_path):
+    session = simulated_session(keep=Keep(tmp_path / "runs", episodes=False))
+    session.prepare(SceneChoice())
+    motion = session._scene.stage.arm.move_to(Pose(0.0, 0.0, 80.0), 50.0)
+    while not motion.done:
+        session.advance()
+    main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
+    main.attach(SteppedSession(session))
+    main.go("operate")
+    with qtbot.waitActive(main.window, timeout=5000):
+        main.window.show()
+        main.window.activateWindow()
+    turn(main, session, 0.1)
+    yield main, session
+    main.close()
+    main.window.deleteLater()
+    main.deleteLater()
+
+
+def turn(main, session, seconds, held=False):
+    """Let bench time pass; a held button beats every 100 ms of it."""
+    hold = main.workspaces["operate"].page.jog.hold
+    hold._timer.stop()
+    for count in range(round(seconds / STEP_S)):
+        if held and count % 5 == 4:
+            hold._beat()
+        session.engine.tick()
+        session.advance()
+        if count % 2:
+            main.pump.tick()
+    for _ in range(12):
+        main.pump.tick()
+
+
+def place(session):
+    return session._scene.stage.arm._world.drive.command_mm
+
+
+def window_key(main, kind, key, repeat=False):
+    event = QKeyEvent(kind, key, Qt.KeyboardModifier.NoModifier, autorep=repeat)
+    QApplication.sendEvent(main.window.windowHandle(), event)
+
+
+def press(main, key, repeat=False):
+    window_key(main, QEvent.Type.KeyPress, key, repeat)
+
+
+def release(main, key):
+    window_key(main, QEvent.Type.KeyRelease, key)
+
+
+def test_a_held_pad_moves_the_arm_and_the_pill_says_so(desk):
+    main, session = desk
+    pad, before = main.workspaces["operate"].page.jog.pads["+z"], place(session)
+    QTest.mousePress(pad, Qt.MouseButton.LeftButton)
+    turn(main, session, 0.5, held=True)
+    assert main.bar.pill.state.word == "JOG"
+    assert "+Z XYZ, 20 mm/s" in main.bar.pill.state.note
+    QTest.mouseRelease(pad, Qt.MouseButton.LeftButton)
+    at = place(session)
+    turn(main, session, 0.2)
+    assert np.array_equal(place(session), at)
+    assert (at - before)[2] == pytest.approx(9.7, abs=0.3)
+    assert main.bar.pill.state.word == "READY"
+
+
+def test_a_frozen_window_ends_the_motion_within_300_ms(desk):
+    """The window's thread does nothing for 2 s: neither beats nor draws."""
+    main, session = desk
+    QTest.mousePress(main.workspaces["operate"].page.jog.pads["+x"], Qt.MouseButton.LeftButton)
+    frozen_s = moved_s = session.clock_s()
+    for _ in range(100):
+        before = place(session)
+        session.advance()
+        if not np.array_equal(before, place(session)):
+            moved_s = session.clock_s()
+    assert 0.0 < moved_s - frozen_s <= 0.3
+    turn(main, session, 0.2, held=True)
+    assert not main.workspaces["operate"].page.jog.hold.held, "thawed: the lease is gone"
+    assert "JOG-LEASE" in main.cards.codes
+
+
+def test_a_dialog_and_another_page_end_a_jog(desk):
+    main, session = desk
+    page = main.workspaces["operate"].page
+    QTest.mousePress(page.jog.pads["+x"], Qt.MouseButton.LeftButton)
+    assert session.hand.jog.active
+    main.go("review")
+    assert not session.hand.jog.active
+    main.go("operate")
+    QTest.mousePress(page.jog.pads["+x"], Qt.MouseButton.LeftButton)
+    assert session.hand.jog.active
+    box = QMessageBox(QMessageBox.Icon.NoIcon, "t", "text", parent=main.window)
+    box.open()
+    QApplication.processEvents()
+    assert not session.hand.jog.active
+    box.close()
+
+
+def test_stop_ends_a_jog_and_no_pad_works_until_reset(desk):
+    main, session = desk
+    page = main.workspaces["operate"].page
+    QTest.mousePress(page.jog.pads["+x"], Qt.MouseButton.LeftButton)
+    press(main, Qt.Key.Key_F12)
+    assert not session.hand.jog.active
+    at = place(session)
+    turn(main, session, 0.2, held=True)
+    assert np.array_equal(place(session), at)
+    assert not page.jog.pads["+x"].isEnabled()
+    assert "Reset" in page.jog.pads["+x"].toolTip()
+    main.reset()
+    turn(main, session, 0.1)
+    assert page.jog.pads["+x"].isEnabled()
+
+
+def test_space_stops_a_jog(desk):
+    main, session = desk
+    QTest.mousePress(main.workspaces["operate"].page.jog.pads["+x"], Qt.MouseButton.LeftButton)
+    turn(main, session, 0.1, held=True)
+    press(main, Qt.Key.Key_Space)
+    assert session.interlock.latched
+
+
+def test_a_step_per_press_and_none_for_auto_repeat(desk):
+    main, session = desk
+    page = main.workspaces["operate"].page
+    main.actions.action("operate.longer").trigger()
+    assert page.jog.step_mm == 0.1
+    before = place(session)
+    QTest.mousePress(page.jog.pads["-y"], Qt.MouseButton.LeftButton)
+    turn(main, session, 0.5)
+    assert place(session) - before == pytest.approx([0, -0.1, 0], abs=1e-9)
+    page.jog.keys.click()
+    press(main, Qt.Key.Key_Up)
+    for _ in range(20):
+        press(main, Qt.Key.Key_Up, repeat=True)
+    turn(main, session, 0.5)
+    assert place(session) - before == pytest.approx([0, 0, 0], abs=1e-9)
+
+
+def test_keys_move_only_while_armed(desk):
+    main, session = desk
+    page, before = main.workspaces["operate"].page, place(session)
+    press(main, Qt.Key.Key_Right)
+    assert not session.hand.jog.active
+    release(main, Qt.Key.Key_Right)
+    main.actions.action("operate.arm").trigger()
+    assert page.jog.property("armed") == "yes"
+    press(main, Qt.Key.Key_Right)
+    turn(main, session, 0.3, held=True)
+    release(main, Qt.Key.Key_Right)
+    assert not session.hand.jog.active
+    assert (place(session) - before)[0] > 3.0
+
+
+def test_a_second_key_stops_both(desk):
+    main, session = desk
+    main.actions.action("operate.arm").trigger()
+    press(main, Qt.Key.Key_Right)
+    assert session.hand.jog.active
+    press(main, Qt.Key.Key_Up)
+    assert not session.hand.jog.active
+    release(main, Qt.Key.Key_Right)
+    assert not session.hand.jog.active
+
+
+@pytest.mark.parametrize("way", ["idle", "text field", "page", "stop", "button"])
+def test_arming_ends(desk, way):
+    main, session = desk
+    page, keys = main.workspaces["operate"].page, main.workspaces["operate"].keys
+    main.actions.action("operate.arm").trigger()
+    assert keys.armed
+    assert keys._idle.interval() == 30_000
+    if way == "idle":
+        keys._idle.timeout.emit()
+    elif way == "text field":
+        page.jog.speed.setFocus()
+    elif way == "page":
+        main.go("stack")
+    elif way == "stop":
+        main.stop()
+        turn(main, session, 0.1)
+    else:
+        page.jog.keys.click()
+    assert not keys.armed
+    assert page.jog.property("armed") == "no"
+
+
+def test_grip_probe_once_and_open_with_a_question(desk):
+    main, session = desk
+    page = main.workspaces["operate"].page
+    page.gripper.grip.click()
+    turn(main, session, 1.5)
+    assert "holding a piece" in page.gripper.figures.text()
+    down = Pose(0.0, 0.0, 33.0)
+    motion = session._scene.stage.arm.move_to(down, 50.0)
+    while not motion.done:
+        turn(main, session, 0.1)
+    main.actions.action("operate.probe").trigger()
+    seen = set()
+    for _ in range(300):
+        turn(main, session, 0.1)
+        seen.add(page.probe.strip.at)
+        if session.status().state is RunState.IDLE and page.probe.strip.at == 6:
+            break
+    assert {1, 2, 3, 5, 6} <= seen, "each phase that lasts was shown"
+    assert page.probe.result.text().startswith("Contact on")
+    assert "largest Fz" in page.probe.result.text()
+    assert main.workspaces["stack"].presenter.story.head is None, "a probe is no stacking run"
+    page.gripper.open.click()
+    assert session.devices["gripper"].status().holding
+    answers = [
+        b for b in main.cards.findChildren(type(page.gripper.open)) if "let it go" in b.text()
+    ]
+    answers[0].click()
+    turn(main, session, 3.0)
+    assert not session.devices["gripper"].status().holding
+
+
+def test_a_refused_step_names_axis_and_way_left(desk):
+    main, session = desk
+    jog = session.hand.jog
+    motion = session._scene.stage.arm.move_to(Pose(0.0, 0.0, 397.0), 50.0)
+    while not motion.done:
+        session.advance()
+    page = main.workspaces["operate"].page
+    for _ in range(4):
+        main.actions.action("operate.longer").trigger()
+    assert page.jog.step_mm == 5.0
+    QTest.mousePress(page.jog.pads["+z"], Qt.MouseButton.LeftButton)
+    assert not jog.active
+    assert "+Z (XYZ): 3.0 mm left" in main.cards.card("LIMIT").text.what

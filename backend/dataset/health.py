@@ -23,15 +23,15 @@ Kind = Literal[
 ]  # fmt: skip
 
 CONTACT_N = 1.0
-JERK_N = 0.5
-"""Step of a force against both neighbouring ticks (undisturbed: below 0.05 N)."""
+JERK_N = 0.6
+"""A force off the line between the ticks before and after (undisturbed: 0.35 N, at the knee)."""
 SATURATED_PX = 31.0
-"""One marker pitch: beyond it a marker may have been taken for its neighbour (undisturbed: 17)."""
+"""One marker pitch: beyond it a marker may have been taken for its neighbour (undisturbed: 20)."""
 LOST_MARKERS = 3
 DROPPED_FRAMES = 3
 """Frames of 100 (undisturbed: 0.5 % are lost)."""
 LAG_S = 0.03
-"""Of the gel behind the force (undisturbed: below 0.01 s)."""
+"""Of the gel behind the force (undisturbed: 0.011 s)."""
 SLIP_MM = 0.3
 TWIN_APART_MM = 5.0
 TWIN_SHARE = 0.25
@@ -150,8 +150,7 @@ def _twin(one: Examined, other: Examined) -> Finding:
 
 def _jerk(row: Examined) -> str:
     forces = row.observation[:, _FX : _FX + 3].astype(np.float64)
-    middle = np.median(np.stack([forces[:-2], forces[1:-1], forces[2:]]), axis=0)
-    step = np.abs(forces[1:-1] - middle).max(axis=1)
+    step = np.abs(forces[1:-1] - 0.5 * (forces[:-2] + forces[2:])).max(axis=1)
     worst = int(np.nanargmax(step)) if np.isfinite(step).any() else 0
     if step[worst] > JERK_N:
         return f"The force jumps by {step[worst]:.1f} N at {(worst + 2) * TICK_S:.1f} s."

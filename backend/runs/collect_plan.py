@@ -16,13 +16,13 @@ from backend.core.faults import InputError
 from backend.core.flow import FloatArray, read_only
 from backend.dataset.coverage import Coverage
 from backend.objects.shapes import Outline
-from backend.objects.starts import MIN_OVERLAP_MM2, draw_offset
+from backend.objects.starts import COARSE_SEGMENTS, MIN_OVERLAP_MM2, draw_offset
 from backend.objects.surface import overlap_area_mm2
 
 Pattern = Literal["random", "grid", "adaptive"]
 PATTERNS: tuple[Pattern, ...] = ("random", "grid", "adaptive")
 TRIES = 2000
-FINEST_MM, HALVINGS = 0.05, 24
+FINEST_MM, HALVINGS = 0.05, 12
 _ITEM = 88
 
 
@@ -36,10 +36,17 @@ class Target:
 
     def allows(self, offsets_mm: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
         """Return (n,) which of ``offsets_mm`` (n, 2) overlap enough and lie within the range."""
-        enough = overlap_area_mm2(self.face, offsets_mm, self.bottom) >= MIN_OVERLAP_MM2
+        area = overlap_area_mm2(self.face, offsets_mm, self.bottom, segments=COARSE_SEGMENTS)
+        enough = area >= MIN_OVERLAP_MM2
         if self.within_mm is not None:
             enough &= (np.abs(offsets_mm) <= self.within_mm).all(axis=1)
         return np.asarray(enough)
+
+    @property
+    def reach_mm(self) -> float:
+        """Largest displacement along x or y that could count."""
+        reach = float(max(np.add(self.face.half_extents_mm, self.bottom.half_extents_mm)))
+        return reach if self.within_mm is None else min(reach, self.within_mm)
 
 
 def planned_mm(
@@ -65,25 +72,27 @@ def planned_mm(
 @lru_cache(maxsize=4)
 def grid_mm(target: Target, count: int) -> FloatArray:
     """Return (count, 2) places on the widest square lattice that holds so many, there and back."""
-    reach = float(max(np.add(target.face.half_extents_mm, target.bottom.half_extents_mm)))
-    fine, wide = FINEST_MM, 2.0 * reach
-    if len(_lattice(target, fine, reach)) < count:
+    coarse_mm = target.reach_mm / 40
+    pitch_mm = coarse_mm * float(np.sqrt(len(_lattice(target, coarse_mm)) / count))
+    if not pitch_mm >= FINEST_MM:
         raise _nothing_fits(target)
+    fine, wide = 0.5 * pitch_mm, 2.0 * pitch_mm
     for _ in range(HALVINGS):
         middle = 0.5 * (fine + wide)
-        if len(_lattice(target, middle, reach)) >= count:
+        if len(_lattice(target, middle)) >= count:
             fine = middle
         else:
             wide = middle
-    places = _lattice(target, fine, reach)
+    places = _lattice(target, fine)
     chosen = np.asarray(places[np.linspace(0, len(places) - 1, count).round().astype(int)])
     read_only(chosen)
     return chosen
 
 
-def _lattice(target: Target, pitch_mm: float, reach_mm: float) -> FloatArray:
+def _lattice(target: Target, pitch_mm: float) -> FloatArray:
     """Return the lattice points (n, 2) that the target allows, row by row, to and fro."""
-    steps = pitch_mm * np.arange(-int(reach_mm / pitch_mm), int(reach_mm / pitch_mm) + 1)
+    count = int(target.reach_mm / pitch_mm)
+    steps = pitch_mm * np.arange(-count, count + 1)
     rows = [
         np.stack([steps[:: 1 if k % 2 == 0 else -1], np.full(len(steps), y)], axis=1)
         for k, y in enumerate(steps)

@@ -1,0 +1,132 @@
+"""Health checks: undisturbed probes pass, and each injected fault of each kind is listed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from backend.core.flow import TACTILE_CHANNELS, EpisodeQuality
+from backend.dataset.health import Examined, asymmetry, examine, lags_s
+from backend.objects.catalogue import load_catalogue
+from backend.objects.surface import face_points
+from backend.simulation.episodes import Plan, simulate
+
+GOOD = EpisodeQuality(True, (), 0, 0.0, 0, 20.0, 0.0)
+FZ = TACTILE_CHANNELS + 2
+
+
+@pytest.fixture(scope="module")
+def clean() -> list[Examined]:
+    """Return 60 probes of the pot as the simulated bench gives them."""
+    catalogue = load_catalogue()
+    top, below = catalogue.top("pot"), catalogue.bottom("circle25")
+    plan = Plan(
+        piece="pot", bottom="circle25", face=top.face, bottom_outline=below.upper,
+        face_points_mm=face_points(top.face), grip_height_mm=top.grip_height_mm,
+        width_mm=top.width_mm, episodes=60, seed=11, probes_per_grip=10,
+    )  # fmt: skip
+    rows = []
+    for batch in simulate(plan):
+        for k in range(len(batch.episode)):
+            uuid = f"e{batch.episode[k]:02d}"
+            rows.append(Examined(uuid, batch.observation[k], batch.offset_mm[k], GOOD))
+    return sorted(rows, key=lambda row: row.uuid)
+
+
+def kinds(rows) -> set[tuple[str, tuple[str, ...]]]:
+    return {(finding.kind, finding.episodes) for finding in examine(rows)}
+
+
+def seen(row: Examined) -> np.ndarray:
+    return row.observation.copy()
+
+
+def test_undisturbed_probes_have_no_findings(clean) -> None:
+    assert examine(clean) == []
+
+
+def knocked(row: Examined) -> Examined:
+    values = seen(row)
+    values[9, FZ] += 1.0
+    return replace(row, observation=values)
+
+
+def never_touched(row: Examined) -> Examined:
+    values = seen(row)
+    values[:, FZ] = 0.2
+    return replace(row, observation=values)
+
+
+def deaf(row: Examined) -> Examined:
+    values = seen(row)
+    values[:, FZ] = np.nan
+    return replace(row, observation=values)
+
+
+def jumped_marker(row: Examined) -> Examined:
+    values = seen(row)
+    values[12:, 40] = 33.0
+    return replace(row, observation=values)
+
+
+def late_gel(row: Examined) -> Examined:
+    """Shift both gels 0.05 s behind the force."""
+    values = seen(row)
+    moving = np.concatenate([np.zeros((1, TACTILE_CHANNELS)), values[:, :TACTILE_CHANNELS]])
+    values[:, :TACTILE_CHANNELS] = 0.5 * (moving[:-1] + moving[1:])
+    return replace(row, observation=values)
+
+
+def worse(row: Examined, **changes: float) -> Examined:
+    return replace(row, quality=replace(row.quality, **changes))
+
+
+@pytest.mark.parametrize(
+    ("kind", "disturb"),
+    [
+        ("jerk", knocked),
+        ("no contact", never_touched),
+        ("no contact", deaf),
+        ("saturated markers", jumped_marker),
+        ("clock skew", late_gel),
+        ("lost markers", lambda row: worse(row, lost_markers=4)),
+        ("dropped frames", lambda row: worse(row, dropped_frames=5)),
+        ("slip", lambda row: worse(row, slip_mm=0.4)),
+    ],
+)
+@pytest.mark.parametrize("which", [0, 17, 42])
+def test_a_disturbed_probe_is_listed_by_its_kind(clean, kind, disturb, which) -> None:
+    rows = [disturb(row) if k == which else row for k, row in enumerate(clean)]
+    found = kinds(rows)
+    assert (kind, (clean[which].uuid,)) in found
+    assert {uuid for _, episodes in found for uuid in episodes} == {clean[which].uuid}
+
+
+def test_the_lag_of_a_late_gel_is_measured(clean) -> None:
+    for row in clean[:10]:
+        late = list(lags_s(late_gel(row).observation))
+        np.testing.assert_allclose(late, np.add(list(lags_s(row.observation)), 0.05), atol=0.005)
+        assert np.abs(list(lags_s(row.observation))).max() < 0.02
+
+
+def test_the_same_signals_under_other_labels_are_twins(clean) -> None:
+    rng = np.random.default_rng(2)
+    copy = clean[5].observation + rng.normal(0, 0.01, (20, 258)).astype(np.float32)
+    far = replace(clean[5], uuid="twin", observation=copy, offset_mm=clean[5].offset_mm + 6.0)
+    near = replace(far, uuid="near", offset_mm=clean[5].offset_mm + 1.0)
+    assert ("twins", ("e05", "twin")) in kinds([*clean, far])
+    assert kinds([*clean, near]) == set()
+
+
+def test_a_shifted_distribution_is_uneven_along_its_axis(clean) -> None:
+    moved = [replace(row, offset_mm=row.offset_mm + np.array([0.0, 5.0])) for row in clean]
+    (finding,) = asymmetry(moved)
+    assert finding.kind == "asymmetry"
+    assert "along y" in finding.text
+    assert asymmetry(moved[:10]) == []
+
+
+def test_examining_nothing_finds_nothing() -> None:
+    assert examine([]) == []

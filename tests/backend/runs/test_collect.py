@@ -1,0 +1,231 @@
+"""Collecting on the simulated bench: grips, mountings, labels, decisions, restarts, full disks."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from backend.assembly import SimulatedBenchChoice, simulated_session
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.values import EpisodeFilter
+from backend.config.method import CollectSettings, StackSettings
+from backend.core.facts import (
+    CampaignBegan,
+    DecisionAwaited,
+    EpisodeDecided,
+    Gripped,
+    ProbeCollected,
+    RunFinished,
+)
+from backend.core.faults import Fault, FaultError, InputError, RefusedError
+from backend.runs import jig
+from backend.runs.campaign import newest_campaign, read_campaign
+from backend.runs.requests import CollectRequest
+from backend.session import Keep
+
+pytestmark = pytest.mark.slow
+
+
+class Collected:
+    """A session that collects into ``folder``, and what it told."""
+
+    def __init__(self, folder, **limits):
+        self.dataset = Dataset.open(folder, person="ann")
+        method = StackSettings(collect=CollectSettings(**limits))
+        self.session = simulated_session(
+            SimulatedBenchChoice(preset="quiet"), keep=Keep(None), method=method
+        )
+        self.session.dataset = self.dataset
+        self.facts, self.truth = [], {}
+        self.session.hub.subscribe(self._take)
+
+    def _take(self, fact):
+        self.facts.append(fact)
+
+    def run(self, **changes):
+        asked = {"piece": "pot", "bottom": "circle15", "count": 5, "seed": 2, "person": "ann"}
+        self.session.run(CollectRequest(**{**asked, **changes}))
+        return self
+
+    def of(self, kind):
+        return [fact for fact in self.facts if isinstance(fact, kind)]
+
+    @property
+    def entries(self):
+        return self.dataset.episodes(EpisodeFilter(deleted=None))
+
+
+@contextmanager
+def collecting(folder, **limits):
+    collected = Collected(folder, **limits)
+    try:
+        yield collected
+    finally:
+        collected.session.close()
+        collected.dataset.close()
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Return five probes, two a grip, two grips a mounting."""
+    with collecting(
+        tmp_path_factory.mktemp("whole") / "ds", probes_per_grip=2, grips_per_mounting=2
+    ) as collected:
+        yield collected.run()
+
+
+def test_every_item_of_the_plan_is_an_episode_with_a_label(whole) -> None:
+    assert [entry.plan_item for entry in whole.entries] == [0, 1, 2, 3, 4]
+    assert whole.of(RunFinished)[-1].ending == "finished"
+    assert [fact.done for fact in whole.of(ProbeCollected)] == [1, 2, 3, 4, 5]
+    for entry in whole.entries:
+        assert entry.quality.accepted
+        assert (entry.state, entry.person, entry.mode) == ("draft", "ann", "stepped")
+        head = whole.dataset.labels.head(entry.uuid)
+        assert head.source == "measured"
+        assert head.label.sigma_um == 150
+
+
+def test_grips_and_mountings_are_counted(whole) -> None:
+    grips = [entry.grip_id for entry in whole.entries]
+    assert len(set(grips)) == 3
+    assert [grips.count(name) for name in dict.fromkeys(grips)] == [2, 2, 1]
+    mountings = [entry.mounting_id for entry in whole.entries]
+    assert [mountings.count(name) for name in dict.fromkeys(mountings)] == [4, 1]
+    series = [entry.series for entry in whole.entries]
+    assert [series.count(name) for name in dict.fromkeys(series)] == [4, 1]
+    assert [(f.mounting, f.grip) for f in whole.of(Gripped)] == [(1, 1), (1, 2), (2, 1)]
+    assert len(whole.of(CampaignBegan)) == 2
+
+
+def test_the_piece_is_weighed(whole) -> None:
+    for fact in whole.of(Gripped):
+        assert fact.mass_g == pytest.approx(15.0, abs=2.0)
+
+
+def test_the_label_is_measured_and_the_command_is_kept_apart(whole) -> None:
+    for entry, fact in zip(whole.entries, whole.of(ProbeCollected), strict=True):
+        label = whole.dataset.labels.head(entry.uuid).label
+        np.testing.assert_allclose(label.offset_mm, fact.measured_mm, atol=6e-4)
+        episode = whole.dataset.read(entry.uuid)
+        np.testing.assert_allclose(episode.offset_mm, fact.commanded_mm)
+        assert not np.array_equal(episode.offset_mm, label.offset_mm)
+        np.testing.assert_allclose(episode.offset_mm, label.offset_mm, atol=0.05)
+        assert episode.recording is not None
+        assert len(episode.recording.frames) > 90
+
+
+def test_a_restarted_campaign_collects_only_what_is_missing(tmp_path) -> None:
+    with collecting(tmp_path / "ds") as first:
+        heard = first.session.hub.subscribe(
+            lambda fact: first.session.engine.cancel() if isinstance(fact, ProbeCollected) else None
+        )
+        first.run(count=3)
+        heard()
+        assert first.of(RunFinished)[-1].ending == "cancelled"
+        begun = {entry.plan_item: entry.uuid for entry in first.entries}
+        assert set(begun) == {0}
+    with collecting(tmp_path / "ds") as second:
+        name = newest_campaign(tmp_path / "ds")
+        second.run(campaign=name, person="bob", piece="barrel")
+        entries = second.entries
+        assert sorted(entry.plan_item for entry in entries) == [0, 1, 2]
+        assert {entry.piece for entry in entries} == {"pot"}
+        assert begun[0] in {entry.uuid for entry in entries}
+        assert [entry.person for entry in entries] == ["ann", "bob", "bob"]
+        assert len({entry.mounting_id for entry in entries}) == 2
+        assert second.of(CampaignBegan)[0].done == 1
+
+
+def test_decisions_are_carried_out_one_key_each(tmp_path) -> None:
+    wanted = ["redo", "discard", "skip", "flag", "keep"]
+    with collecting(tmp_path / "ds") as collected:
+        session = collected.session
+
+        def answer(fact):
+            if isinstance(fact, DecisionAwaited):
+                session.decide(wanted.pop(0))
+
+        session.hub.subscribe(answer)
+        collected.run(count=3, ask=True)
+        assert wanted == []
+        decided = [(f.item, f.decision) for f in collected.of(EpisodeDecided)]
+        # Item 0 again at once, then put off to the end; item 1 left out.
+        assert decided == [(0, "redo"), (0, "discard"), (1, "skip"), (2, "flag"), (0, "keep")]
+        rows = [(e.plan_item, e.deleted, e.flagged) for e in collected.entries]
+        assert rows == [(0, True, False), (0, True, False), (1, True, False),
+                        (2, False, True), (0, False, False)]  # fmt: skip
+        campaign = read_campaign(tmp_path / "ds", newest_campaign(tmp_path / "ds"))
+        assert campaign.skipped == (1,)
+        assert campaign.todo(collected.entries) == []
+
+
+def test_stop_works_while_a_decision_is_awaited(tmp_path) -> None:
+    with collecting(tmp_path / "ds") as collected:
+        session = collected.session
+        session.hub.subscribe(
+            lambda fact: session.stop() if isinstance(fact, DecisionAwaited) else None
+        )
+        collected.run(count=2, ask=True)
+        assert collected.of(RunFinished)[-1].ending == "stopped"
+        assert session.interlock.stopped_by == "operator"
+        assert len(collected.entries) == 1
+
+
+def test_a_full_disk_ends_the_campaign_and_loses_nothing(tmp_path, monkeypatch) -> None:
+    with collecting(tmp_path / "ds") as collected:
+        record, full = collected.dataset.record, []
+
+        def recorded(*args, **named):
+            if len(collected.entries) == 1 and not full:
+                full.append(True)
+                raise FaultError(Fault("DISK-FULL", "The disk is full.", "Not recorded.", "Room."))
+            return record(*args, **named)
+
+        monkeypatch.setattr(collected.dataset, "record", recorded)
+        collected.run(count=3)
+        assert collected.of(RunFinished)[-1].ending == "failed"
+        assert [fault.code for fault in collected.session.interlock.faults] == ["DISK-FULL"]
+        assert [entry.plan_item for entry in collected.entries] == [0]
+        collected.session.reset()
+        collected.run(campaign=newest_campaign(tmp_path / "ds"))
+        assert [entry.plan_item for entry in collected.entries] == [0, 1, 2]
+
+
+def test_a_piece_of_another_weight_is_not_probed(tmp_path, monkeypatch) -> None:
+    with collecting(tmp_path / "ds", weight_tolerance_n=1e-4) as collected:
+        collected.run(count=2, piece="mushroom")
+        # Masses of the shipped pieces are nominal: told, and no reason to stop.
+        assert collected.of(RunFinished)[-1].ending == "finished"
+        monkeypatch.setattr(jig, "_vertical_n", lambda bench: 0.0)
+        collected.run(count=2, piece="mushroom")
+        assert collected.of(RunFinished)[-1].ending == "failed"
+        assert collected.session.interlock.faults[0].code == "WRONG-WEIGHT"
+        assert len(collected.entries) == 2
+
+
+def test_a_grip_that_drifted_is_ended(tmp_path) -> None:
+    with collecting(tmp_path / "ds", drift_mm=1e-6) as collected:
+        collected.run(count=3)
+        assert len(collected.entries) == 3
+        # The first probe of a grip sets the height; the second one is off by more than nothing.
+        assert len(collected.of(Gripped)) == 2
+
+
+def test_what_cannot_be_collected_is_refused(tmp_path) -> None:
+    with collecting(tmp_path / "ds") as collected:
+        with pytest.raises(InputError, match="Nobody is named"):
+            collected.run(person=" ")
+        with pytest.raises(InputError, match="no piece 'cup'"):
+            collected.run(piece="cup")
+        with pytest.raises(InputError, match="cannot carry"):
+            collected.run(bottom="pot")
+        with pytest.raises(InputError, match="Not enough displacements"):
+            collected.run(pattern="grid", within_mm=0.05, count=900)
+        collected.session.dataset = None
+        collected.session.reset()
+        with pytest.raises(RefusedError, match="No dataset"):
+            collected.run()
+        assert collected.entries == []

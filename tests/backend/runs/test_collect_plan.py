@@ -1,0 +1,95 @@
+"""Patterns of a campaign: enough overlap, reproducible, even, and into the holes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from backend.core.faults import InputError
+from backend.dataset.coverage import coverage
+from backend.objects.shapes import circle, rectangle
+from backend.objects.surface import overlap_area_mm2
+from backend.runs.campaign import Campaign, new_campaign, newest_campaign, read_campaign
+from backend.runs.collect_plan import PATTERNS, Target, grid_mm, planned_mm
+
+TARGET = Target(circle(15.0), rectangle(12.0, 28.0))
+EMPTY = coverage(np.empty((0, 2)), TARGET.face, TARGET.bottom)
+
+
+def places(pattern, count, target=TARGET, seed=3):
+    return np.array([planned_mm(pattern, target, seed, k, count, EMPTY) for k in range(count)])
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+@pytest.mark.parametrize("within", [None, 6.0], ids=str)
+def test_every_pattern_stays_where_the_faces_overlap(pattern, within) -> None:
+    target = Target(TARGET.face, TARGET.bottom, within)
+    found = places(pattern, 40, target)
+    assert (overlap_area_mm2(target.face, found, target.bottom) >= 6.0).all()
+    assert np.abs(found).max() <= (within or 99.0)
+    np.testing.assert_array_equal(found, places(pattern, 40, target))
+
+
+def test_random_places_are_uniform() -> None:
+    found = places("random", 400, Target(circle(15.0), circle(15.0), 5.0), seed=0)
+    for axis in range(2):
+        assert kstest(found[:, axis], "uniform", args=(-5.0, 10.0)).pvalue > 0.01
+    assert not np.allclose(found, places("random", 400, Target(*[circle(15.0)] * 2, 5.0), seed=4))
+
+
+@pytest.mark.parametrize("count", [1, 7, 50, 200])
+def test_a_grid_has_the_wanted_number_of_even_places(count) -> None:
+    found = grid_mm(TARGET, count)
+    assert len(np.unique(found, axis=0)) == count
+    if count >= 50:
+        apart = np.hypot(*(found[:, None] - found).transpose(2, 0, 1))
+        nearest = np.where(apart > 0, apart, np.inf).min(axis=1)
+        assert nearest.max() <= 1.5 * nearest.min()
+
+
+def test_adaptive_places_leave_no_hole_before_they_repeat() -> None:
+    seen, holes = EMPTY, EMPTY.holes
+    for k in range(holes):
+        seen = seen.with_offset(planned_mm("adaptive", TARGET, 5, k, holes, seen))
+    assert seen.counts[seen.possible].max() <= 2
+    assert seen.covered > 0.97
+
+
+def test_a_range_that_holds_no_grid_is_refused() -> None:
+    with pytest.raises(InputError, match="Not enough displacements"):
+        grid_mm(Target(circle(15.0), circle(15.0), 0.1), 400)
+
+
+def test_a_campaign_survives_a_restart(tmp_path) -> None:
+    campaign = new_campaign("pot", "short", "grid", 7, 12, 5.0).with_mounting().without(4)
+    campaign.save(tmp_path)
+    assert read_campaign(tmp_path, campaign.uuid) == campaign
+    assert newest_campaign(tmp_path) == campaign.uuid
+    later = new_campaign("pot", "short", "grid", 8, 12, None)
+    later.save(tmp_path)
+    assert newest_campaign(tmp_path) == later.uuid
+    assert campaign.todo([]) == [k for k in range(12) if k != 4]
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", '{"format": 2}', '{"format": 1, "pattern": "spiral", "skipped": []}']
+)
+def test_a_damaged_campaign_is_named(tmp_path, text) -> None:
+    path = tmp_path / "campaigns" / "c.json"
+    path.parent.mkdir()
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"c\.json"):
+        read_campaign(tmp_path, "c")
+
+
+@pytest.mark.parametrize("wrong", [{"count": 0}, {"seed": -1}, {"within_mm": 0.0}])
+def test_senseless_campaigns_are_refused(wrong) -> None:
+    given = {"piece": "pot", "bottom": "short", "pattern": "random", "seed": 0, "count": 5,
+             "within_mm": None}  # fmt: skip
+    with pytest.raises(InputError):
+        new_campaign(**{**given, **wrong})
+
+
+def test_a_campaign_is_hashable_as_a_value() -> None:
+    assert Campaign("u", "a", "b", "grid", 1, 2) == Campaign("u", "a", "b", "grid", 1, 2)

@@ -12,6 +12,7 @@ from typing import Any
 
 from backend.catalogue.database import Database
 from backend.catalogue.values import (
+    FLAG,
     EpisodeContext,
     EpisodeEntry,
     EpisodeFilter,
@@ -129,7 +130,6 @@ def _conditions(wanted: EpisodeFilter) -> tuple[str, list[Any]]:
         "e.campaign": wanted.campaign,
         "e.person": wanted.person,
         "e.accepted": wanted.accepted,
-        "h.flagged": wanted.flagged,
         "h.conflict": wanted.conflict,
         "h.deleted": wanted.deleted,
     }
@@ -138,11 +138,12 @@ def _conditions(wanted: EpisodeFilter) -> tuple[str, list[Any]]:
     if wanted.states:
         terms.append(f"h.state IN ({', '.join('?' * len(wanted.states))})")
         values += wanted.states
-    if wanted.tag is not None:
-        terms.append(
-            "EXISTS (SELECT 1 FROM mark m WHERE m.episode = e.uuid AND m.name = ? AND m.present)"
-        )
-        values.append(wanted.tag)
+    # Few episodes bear a mark: start from those, not from all.
+    for name in filter(None, (FLAG if wanted.flagged else None, wanted.tag)):
+        terms.append("e.uuid IN (SELECT episode FROM mark WHERE name = ? AND present)")
+        values.append(name)
+    if wanted.flagged is False:
+        terms.append("NOT h.flagged")
     if wanted.after is not None:
         terms.append("e.uuid > ?")
         values.append(wanted.after)

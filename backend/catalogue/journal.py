@@ -10,13 +10,15 @@ import json
 import os
 import sqlite3
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import fields
 from pathlib import Path
 
 from backend.catalogue.chain import canonical
 from backend.catalogue.operations import read_operations
 from backend.catalogue.values import Operation
 from backend.core.files import sync_folder
+
+FIELDS = tuple(field.name for field in fields(Operation))
 
 
 class Journal:
@@ -66,13 +68,18 @@ def _append(path: Path, operations: list[Operation]) -> None:
     is_new = not path.exists()
     if is_new:
         path.parent.mkdir(parents=True, exist_ok=True)
-    lines = b"".join(canonical(asdict(operation)) + b"\n" for operation in operations)
+    lines = b"".join(canonical(_as_line(operation)) + b"\n" for operation in operations)
     with path.open("ab") as file:
         file.write(lines)
         file.flush()
         os.fsync(file.fileno())
     if is_new:
         sync_folder(path.parent)
+
+
+def _as_line(operation: Operation) -> dict[str, object]:
+    # Not ``asdict``: it copies the body of a bulk operation value by value.
+    return {name: getattr(operation, name) for name in FIELDS}
 
 
 def _mend(path: Path) -> int:

@@ -25,6 +25,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.agreement",
     "tests.bench.window",
     "tests.bench.stacking",
+    "tests.bench.store",
     "tests.bench.experiments",
     "tests.bench.store_files",
 )

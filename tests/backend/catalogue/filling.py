@@ -65,3 +65,12 @@ def _row(number: int) -> dict[str, object]:
         "crc": None, "sha256": f"{number:064x}", "bytes": 1000, "quality": QUALITY, "accepted": 1,
         "keep_frames": "none", "state": "complete", "adopted": 0,
     }  # fmt: skip
+
+
+def make_files(dataset: Dataset) -> None:
+    """Make a file of the right size (a hole) for every episode of ``fill``."""
+    for path, size in dataset.database.rows("SELECT path, bytes FROM episode"):
+        file = dataset.folder / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with file.open("wb") as handle:
+            handle.truncate(size)

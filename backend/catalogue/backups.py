@@ -71,7 +71,8 @@ def heads_of(connection: sqlite3.Connection) -> Heads:
 def check_backup(path: Path) -> Heads:
     """Open a copy, let SQLite check all of it and return its heads; ``InputError`` if it is bad."""
     try:
-        address = f"{path.resolve().as_uri()}?mode=ro"
+        # Immutable: nobody writes a finished copy, and no -wal and -shm appear beside it.
+        address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
         with closing(sqlite3.connect(address, uri=True)) as connection:
             (verdict,) = connection.execute("PRAGMA integrity_check").fetchone()
             (ours,) = connection.execute("PRAGMA application_id").fetchone()

@@ -34,7 +34,7 @@ LEFT_OVERS = (
 )
 """What a crash may leave of files that are made again anyway."""
 BUSY_S = 60.0
-"""A file changed this recently may be one that a training beside us is building."""
+"""A cache that changed this recently is not a left-over."""
 
 
 def examine(where: Store, *, whole: bool = False) -> Iterator[Finding]:
@@ -100,10 +100,16 @@ def _sites(where: Store) -> list[str]:
 def _left_overs(where: Store) -> Iterator[Finding]:
     for folder, pattern in LEFT_OVERS:
         for path in sorted((where.folder / folder).glob(pattern)):
-            if time.time() - path.stat().st_mtime < BUSY_S:
-                continue
-            said = f"{where.name(path)} was left half-made: deleted."
-            yield Finding("left-over", where.name(path), said, partial(_remove, path))
+            if not _in_use(where, path):
+                said = f"{where.name(path)} was left half-made: deleted."
+                yield Finding("left-over", where.name(path), said, partial(_remove, path))
+
+
+def _in_use(where: Store, path: Path) -> bool:
+    """Whether we work on it, or it is a cache that a training beside us may be building."""
+    if path.name.startswith(where.database.path.name):
+        return True
+    return path.parent.name == "cache" and time.time() - path.stat().st_mtime < BUSY_S
 
 
 def _remove(path: Path, _: sqlite3.Connection) -> None:

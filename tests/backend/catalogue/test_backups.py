@@ -38,6 +38,7 @@ def test_a_copy_has_what_is_still_in_the_wal(dataset: Dataset, record: Record) -
     entry = record()
     dataset.labels.set("ann", entry.uuid, Label(77, 0, 0, 1))
     path = dataset.backups.make("test")
+    assert {p.suffix for p in path.parent.iterdir()} == {".db"}
     plain = dataset.folder / "plain.db"
     shutil.copy(dataset.folder / NAME, plain)
     assert check_backup(path) == dataset_heads(dataset)

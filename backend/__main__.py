@@ -20,7 +20,7 @@ VERBS = {
     "stack": "place a piece by touch on the simulated bench",
     "demo": "stack three pieces without a screen and leave a report",
     "collect": "collect labelled probes into a dataset",
-    "dataset": "show, check, back up and rebuild a dataset",
+    "dataset": "show, check, back up, rebuild and merge datasets",
     "replay": "play a recorded run again",
     "simulate": "write labelled episodes of the simulated bench",
     "train": "train a contact-patch model",

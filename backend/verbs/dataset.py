@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import getpass
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +16,7 @@ from backend.verbs import dataset_care
 from backend.verbs.screen import Screen
 
 NAME = "dataset"
-HELP = "show, check, back up and rebuild a dataset"
+HELP = "show, check, back up, rebuild and merge datasets"
 JSON_VERSION = 1
 
 
@@ -37,6 +38,9 @@ def status(args: argparse.Namespace, folder: Path, screen: Screen) -> int:
         counts = (str(pairs[piece, bottom, state] or "-") for state in states)
         table.add_row(piece, bottom, *counts)
     screen.show(table)
+    conflicts = sum(e.conflict for e in entries)
+    if conflicts:
+        screen.say(f"{conflicts} episodes have two labels since a merge: resolve them.")
     for state, count in sorted(files.items()):
         if state != "complete":
             screen.say(f"{count} files are {state}.")
@@ -47,7 +51,29 @@ def status(args: argparse.Namespace, folder: Path, screen: Screen) -> int:
         for (piece, bottom, state), count in sorted(pairs.items())
     ]
     answer = {"version": JSON_VERSION, "dataset": str(folder), "episodes": len(entries)}
-    screen.result({**answer, "pairs": listed, "files": dict(files), "backup_age_h": hours})
+    screen.result({**answer, "pairs": listed, "files": dict(files), "conflicts": conflicts,
+                   "backup_age_h": hours})  # fmt: skip
+    return 0
+
+
+def merge(args: argparse.Namespace, folder: Path, screen: Screen) -> int:
+    """Bring in labels and episodes of another copy of the dataset."""
+    from backend.catalogue.dataset import Dataset
+
+    if args.other is None:
+        raise InputError("Which copy?", "merge", "Name the folder of another copy of the dataset.")
+    person = args.person or getpass.getuser()
+    with Dataset.open(folder, create=False, person=person) as dataset:
+        notices = dataset.notices
+        done = dataset.merge(person, args.other)
+    for notice in notices:
+        screen.say(notice)
+    screen.say(f"{done.operations} label operations and {done.episodes} episodes are new here.")
+    if done.conflicts:
+        screen.say(f"{len(done.conflicts)} episodes have two labels: resolve them in the window.")
+    answer = {"version": JSON_VERSION, "dataset": str(folder), "merged": str(args.other)}
+    counts = {"operations": done.operations, "episodes": done.episodes}
+    screen.result({**answer, **counts, "conflicts": list(done.conflicts)})
     return 0
 
 
@@ -58,6 +84,7 @@ ACTIONS: dict[str, Act] = {
     "backup": dataset_care.backup,
     "restore": dataset_care.restore,
     "rebuild": dataset_care.rebuild,
+    "merge": merge,
 }
 
 
@@ -65,8 +92,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     lines = "; ".join(f"{name}: {(act.__doc__ or '')[:-1]}" for name, act in ACTIONS.items())
     parser.add_argument("action", nargs="?", choices=ACTIONS, default="status", help=lines)
-    parser.add_argument("other", nargs="?", type=Path, help="the backup to restore")
+    parser.add_argument(
+        "other", nargs="?", type=Path, help="the backup to restore, or the copy to merge"
+    )
     parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
+    parser.add_argument("--person", help="who merges (default: the account's name)")
     parser.add_argument(
         "--replace", action="store_true", help="rebuild: put the new catalogue in its place"
     )
@@ -74,7 +104,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, screen: Screen) -> int:
     """Do one action; returns its exit code."""
-    if args.other is not None and args.action != "restore":
+    if args.other is not None and args.action not in ("restore", "merge"):
         raise InputError(
             f"'{args.action}' takes no file.", str(args.other), "Name the dataset by --dataset."
         )

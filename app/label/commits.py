@@ -23,13 +23,13 @@ class _Job:
 class Commits:
     """Runs jobs one after the other; exactly one of ``done`` and ``failed`` follows each."""
 
-    def __init__(self, post: Post) -> None:
+    def __init__(self, post: Post, name: str = "label-commits") -> None:
         self._post = post
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         self._waiting = 0
         self.told: Callable[[], None] = _nothing
         """Called after each end was told, whoever had submitted the job."""
-        self._thread = threading.Thread(target=self._run, name="label-commits", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     @property

@@ -32,6 +32,9 @@ class Decisions:
         now, sitting = self._on.present, self._on.sitting
         if now is None:
             return
+        if sitting.opines:
+            self._opine()
+            return
         if sitting.queue in REVIEWING and now.edit.base.state != "draft" and not now.edit.changed:
             self._approve()
             return
@@ -54,6 +57,21 @@ class Decisions:
             lambda: book.accept(person, uuid, edit.label, source=source, looked=looked),
             self._then_next,
         )
+
+    def _opine(self) -> None:
+        now = self._on.present
+        if now is None or not now.edit.label.is_set:
+            self._on.refuse("Set the displacement as you see it: x,y or the arrows.")
+        else:
+            self._on.trusted(self._keep_opinion)
+
+    def _keep_opinion(self) -> None:
+        now, book, person = self._on.present, self._on.book, self._on.sitting.person
+        if now is not None:
+            uuid, label, looked = now.item.entry.uuid, now.edit.label, self._on.looked()
+            self._on.saving.save(
+                lambda: book.opinion(person, uuid, label, looked=looked), self._then_next
+            )
 
     def _approve(self) -> None:
         now, book, person = self._on.present, self._on.book, self._on.sitting.person

@@ -6,7 +6,7 @@ import math
 import re
 from dataclasses import dataclass, replace
 
-from backend.catalogue.values import Label, Revision, Source
+from backend.catalogue.values import NO_LABEL, Label, Revision, Source
 from backend.core.flow import FloatArray
 
 LIMIT_UM = 99_990
@@ -27,6 +27,11 @@ class Edit:
     def of(cls, head: Revision) -> Edit:
         """Begin with what holds."""
         return cls(head, head.label, head.source)
+
+    @classmethod
+    def blank(cls, head: Revision) -> Edit:
+        """Begin with nothing: for an opinion that nobody's label should sway."""
+        return cls(replace(head, label=NO_LABEL, source="human"), NO_LABEL, "human")
 
     @property
     def changed(self) -> bool:

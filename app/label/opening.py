@@ -11,7 +11,7 @@ from backend.assembly import shipped_model
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.writer_lock import DatasetInUseError
 from backend.core.faults import InputError
-from backend.objects.catalogue import load_catalogue
+from backend.objects.catalogue import Catalogue, load_catalogue
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +20,7 @@ class Opened:
 
     dataset: Dataset
     prelabel: Prelabeller
+    catalogue: Catalogue
     read_only: str
 
 
@@ -34,7 +35,8 @@ def opener(folder: Path, person: str) -> Callable[[], Opened]:
             dataset, read_only = Dataset.open(folder, write=False), str(error.what)
         if not read_only and not dataset.writable:
             read_only = "The dataset was written by a newer version."
-        return Opened(dataset, Prelabeller(load_catalogue(), model_of), read_only)
+        catalogue = load_catalogue()
+        return Opened(dataset, Prelabeller(catalogue, model_of), catalogue, read_only)
 
     return open_dataset
 

@@ -16,6 +16,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from app.label.bulk_form import BulkForm
 from app.label.side import SideTabs
 from app.label.words import QUEUES
 from widgets.choice_bar import ChoiceBar
@@ -52,6 +53,8 @@ class LabelIntents:
     search: Callable[[str], None]
     person: Callable[[], None]
     tab: Callable[[int], None]
+    preview: Callable[[], None]
+    apply: Callable[[], None]
 
 
 class Entry(QLineEdit):
@@ -98,7 +101,8 @@ class LabelPage(QWidget):
             self.queue.addItem(text, name)
         self.queue.setAccessibleName("Queue")
         self.list = LabelList(theme, intents.choose_row)
-        self.side = SideTabs(intents.restore, intents.search, intents.tab)
+        self.bulk = BulkForm(intents.preview, intents.apply)
+        self.side = SideTabs(intents.restore, intents.search, intents.tab, self.bulk)
         self.strip = StateStrip(theme)
         self.view = OffsetView(theme, intents.move, intents.drop)
         self.verdict, self.basis = ElidedLabel("head"), ElidedLabel("muted")

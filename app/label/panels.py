@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from app.label.agreement import agreement_words
 from app.label.commits import Commits
 from app.label.presenter import LabelPresenter
 from app.label.side import SideTabs
@@ -24,6 +25,11 @@ class SidePresenter:
             book = self._presenter.book
             self._commits.submit(
                 lambda: book.log(text=text, limit=MOST_LINES), self._show_log, self._failed
+            )
+        elif self._side.tab == AGREEMENT:
+            dataset = self._presenter.dataset
+            self._commits.submit(
+                lambda: agreement_words(dataset), self._side.agreement.setText, self._failed
             )
 
     def _show_log(self, operations: list[Operation]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,10 +24,11 @@ class Prelabeller:
         self._catalogue, self._path_of = catalogue, path_of
         self._models: dict[str, Estimator | None] = {}
         self._grids: dict[str, OffsetGrid] = {}
+        self._lock = threading.Lock()
 
     def __call__(self, episode: Episode, pair: Pair) -> ModelLabel | None:
         """Return the model's displacement; None without a model, or for a bad observation."""
-        model = self._model(episode.piece)
+        model = self.model(episode.piece)
         if model is None:
             return None
         try:
@@ -37,10 +39,12 @@ class Prelabeller:
             return None
         return ModelLabel(fit, mean_entropy(patch.probability), model.card.weights_sha256)
 
-    def _model(self, piece: str) -> Estimator | None:
-        if piece not in self._models:
-            self._models[piece] = self._load(piece)
-        return self._models[piece]
+    def model(self, piece: str) -> Estimator | None:
+        """Return the model of a piece, None where there is none that fits."""
+        with self._lock:
+            if piece not in self._models:
+                self._models[piece] = self._load(piece)
+            return self._models[piece]
 
     def _load(self, piece: str) -> Estimator | None:
         path = self._path_of(piece)

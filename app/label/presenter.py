@@ -31,6 +31,16 @@ SIGMAS = (("1", "0.05 mm"), ("2", "0.10 mm"), ("3", "0.20 mm"), ("4", "0.30 mm")
           ("5", "0.50 mm"), ("6", "1.00 mm"))  # fmt: skip
 
 
+EMPTY = {
+    "unlabelled": "Nothing to label. Collect episodes first: touchdown collect.",
+    "review": "Nothing waits for your review.",
+    **dict.fromkeys(
+        ("disagreement", "uncertainty", "duplicates"),
+        "Nothing was scored yet: Ctrl+M lets the model score the dataset.",
+    ),
+}
+
+
 @dataclass(slots=True)
 class Sitting:
     """Who labels, and how. ``sigma_mm``: what the person last said of their own displacements."""
@@ -41,6 +51,11 @@ class Sitting:
     sigma_mm: float | None = None
     blind: bool = False
     hidden: bool = False
+
+    @property
+    def opines(self) -> bool:
+        """Whether answers are opinions for the figures of agreement: no label changes."""
+        return self.blind and self.queue == "audit"
 
     @property
     def hides(self) -> bool:
@@ -76,6 +91,7 @@ class LabelPresenter:
         self._prefetch = Prefetch(reader(dataset, prelabel), post, self._arrived)
         self.walk = Walk(page.list, self._prefetch)
         self.clock = LookClock()
+        self._news = ""
         self._nudging = QTimer(page)
         self._nudging.setSingleShot(True)
         self._nudging.setInterval(NUDGES_MS)
@@ -101,6 +117,11 @@ class LabelPresenter:
         self.saving.save(
             lambda: read_queue(self.dataset, s.queue, s.person, s.seed), self._take_queue
         )
+
+    def read_with_news(self, text: str) -> None:
+        """Read the queue anew because of ``text``, which is said beside it."""
+        self._news = text
+        self.flushed(self.read_queue)
 
     def choose_queue(self, name: str) -> None:
         """Change to another queue."""
@@ -161,20 +182,27 @@ class LabelPresenter:
         if ready is None:
             return
         self.clock.restart()
-        self._page.say("")
+        self._page.say(self._news)
+        self._news = ""
         if isinstance(ready, Exception):
             self.present = None
             self._page.view.show_scene(None)
             self._page.film.show_reel({}, (0.0, 2.0), 0.0)
             self._page.verdict.setText("")
-            if self.walk.uuid is not None:
+            if self.walk.uuid is None:
+                self._page.say(EMPTY.get(self.sitting.queue, "This queue is empty."))
+            else:
                 self._page.say(f"This episode cannot be read: {ready}", bad=True)
             self._show_saving()
             return
         uuid = ready.entry.uuid
-        self.present = Present(ready, Edit.of(self.book.head(uuid)), self.book.history(uuid))
+        self.present = Present(ready, self._begin(uuid), self.book.history(uuid))
         show.show_item(self._page, ready)
         self._show_label()
+
+    def _begin(self, uuid: str) -> Edit:
+        head = self.book.head(uuid)
+        return Edit.blank(head) if self.sitting.opines else Edit.of(head)
 
     # -- what is shown of the label ---------------------------------------------------------------
 
@@ -184,7 +212,8 @@ class LabelPresenter:
         now = self.present
         if now is None:
             return
-        self._page.side.history.show_rows(history_rows(now.history, now.edit.base))
+        told = [] if self.sitting.opines else history_rows(now.history, now.edit.base)
+        self._page.side.history.show_rows(told)
         self.walk.note(self.dataset.entry(now.item.entry.uuid), self.badges())
         self._show_saving()
 
@@ -211,7 +240,7 @@ class LabelPresenter:
             page.strip.show_label("", (), "")
             return
         if trouble is not None or now.edit.changed:
-            saved = "unsaved"
+            saved = "not saved yet" if self.sitting.opines else "unsaved"
         else:
             saved = f"saved {clock(now.edit.base.at_ns)}, rev {len(now.history)}"
         badges = self.badges()
@@ -291,12 +320,13 @@ class LabelPresenter:
             return
         now.edit = change(now.edit)
         self.show_edit()
-        self._nudging.start() if now.edit.changed else self._nudging.stop()
+        waits = now.edit.changed and not self.sitting.opines
+        self._nudging.start() if waits else self._nudging.stop()
 
     def _save_edit(self, then: Intent | None = None) -> None:
         self._nudging.stop()
         now, then = self.present, then or _nothing
-        if now is None or not now.edit.changed:
+        if now is None or not now.edit.changed or self.sitting.opines:
             then()
             return
         self.trusted(lambda: self._set(then))
@@ -338,7 +368,7 @@ class LabelPresenter:
         now = self.present
         if now is not None:
             uuid = now.item.entry.uuid
-            now.edit, now.history = Edit.of(self.book.head(uuid)), self.book.history(uuid)
+            now.edit, now.history = self._begin(uuid), self.book.history(uuid)
             self._show_label()
 
     def looked(self) -> Looked:

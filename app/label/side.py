@@ -18,7 +18,7 @@ from PySide6.QtWidgets import (
 from widgets.history_list import HistoryList
 from widgets.panel import Panel, label
 
-TABS = ("History", "Agreement", "Log")
+TABS = ("History", "Agree", "Log", "Bulk")
 
 
 class SideTabs(Panel):
@@ -29,6 +29,7 @@ class SideTabs(Panel):
         restore: Callable[[str], None],
         search: Callable[[str], None],
         entered: Callable[[int], None],
+        bulk: QWidget,
     ) -> None:
         super().__init__("")
         self.history = HistoryList(restore)
@@ -45,7 +46,7 @@ class SideTabs(Panel):
         column.setContentsMargins(0, 0, 0, 0)
         column.addWidget(self.needle)
         column.addWidget(self.log, 1)
-        for page in (self.history, _top(self.agreement), log):
+        for page in (self.history, _top(self.agreement), log, bulk):
             self._stack.addWidget(page)
         self.column.addWidget(self._stack, 1)
         self._buttons = QButtonGroup(self)

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from app.label.item import LabelItem
 from app.label.prefetch import Prefetch, around
 from app.label.words import row_of
-from backend.catalogue import queues
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.values import EpisodeEntry
 from backend.core.faults import InputError
@@ -18,7 +17,7 @@ Queue = tuple[list[str], dict[str, EpisodeEntry]]
 
 def read_queue(dataset: Dataset, name: str, person: str, seed: int = 0) -> Queue:
     """Return the ids of a queue in its order, and their entries; slow, not for the window."""
-    order = queues.queue(dataset.database, name, person, seed=seed)
+    order = dataset.queue(name, person, seed=seed)
     entries = {entry.uuid: entry for entry in dataset.episodes()}
     return [uuid for uuid in order if uuid in entries], entries
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from app.label.bulk import BulkPresenter
 from app.label.commits import Commits
 from app.label.decisions import Decisions
 from app.label.halves import Halves
@@ -13,6 +14,7 @@ from app.label.page import LabelIntents, LabelPage
 from app.label.panels import SidePresenter
 from app.label.post import Post
 from app.label.presenter import LabelPresenter, Sitting
+from app.label.whole import WholeDataset
 from app.label.words import QUEUES
 from app.workspace import Command, Desk, Memory, Workspace
 from backend.catalogue.review import check_person
@@ -46,6 +48,8 @@ class LabelWorkspace(Workspace):
         self.presenter: LabelPresenter | None = None
         self.decisions: Decisions | None = None
         self.side: SidePresenter | None = None
+        self.bulk: BulkPresenter | None = None
+        self.whole: WholeDataset | None = None
         self._opened: Opened | None = None
         self.commands = self._commands()
         self.held_keys = tuple((key, "Type a displacement x,y in mm") for key in "0123456789-.")
@@ -71,6 +75,8 @@ class LabelWorkspace(Workspace):
 
     def close(self) -> None:
         """Save what waits, end the threads, let others write."""
+        if self.whole is not None:
+            self.whole.close()
         if self.presenter is not None:
             self.presenter.close()
         if self.commits is not None:
@@ -130,6 +136,8 @@ class LabelWorkspace(Workspace):
         )
         self.decisions = Decisions(self.label_page, self.presenter)
         self.side = SidePresenter(self.label_page.side, self.presenter, self.commits)
+        self.bulk = BulkPresenter(self.label_page.bulk, self.presenter, opened.catalogue)
+        self.whole = WholeDataset(self.label_page, self.presenter, opened, self.post)
         self.label_page.say("")
         for notice in (*opened.dataset.notices, opened.read_only):
             if notice:
@@ -196,6 +204,8 @@ class LabelWorkspace(Workspace):
             search=lambda text: self._search(text),
             person=self._ask_person,
             tab=lambda _: self._search(""),
+            preview=lambda: self._bulk(BulkPresenter.preview),
+            apply=lambda: self._bulk(BulkPresenter.apply),
         )
 
     def _commands(self) -> tuple[Command, ...]:
@@ -248,6 +258,10 @@ class LabelWorkspace(Workspace):
             Command("reread", "Read the queue anew", "Ctrl+R",
                     lambda: self._on(lambda p: p.flushed(p.read_queue))),
             Command("discard", "Discard what could not be saved", "Esc", self._discard),
+            Command("score", "Let the model score the dataset: fills three queues", "Ctrl+M",
+                    lambda: self._all(WholeDataset.score)),
+            Command("merge", "Merge another copy of this dataset", "",
+                    lambda: self._all(WholeDataset.merge)),
             Command("sheet", "Key sheet", "?", self._desk.keys),
         )  # fmt: skip
 
@@ -261,6 +275,14 @@ class LabelWorkspace(Workspace):
     def _decide(self, act: Callable[[Decisions], None]) -> None:
         if self.decisions is not None:
             act(self.decisions)
+
+    def _all(self, act: Callable[[WholeDataset], None]) -> None:
+        if self.whole is not None:
+            act(self.whole)
+
+    def _bulk(self, act: Callable[[BulkPresenter], None]) -> None:
+        if self.bulk is not None:
+            act(self.bulk)
 
     def _type(self, text: str) -> None:
         """Answer the question that is open with a digit, else begin a displacement with it."""

@@ -1,0 +1,58 @@
+"""How well people agree with each other: the figures of every two persons, in words."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+
+from backend.catalogue.comparison import Comparison
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.values import PROGRAM
+
+LEAST = 2
+"""One common episode is no agreement."""
+
+
+def agreement_words(dataset: Dataset) -> str:
+    """Return the figures of a dataset as text; slow, not for the window's thread."""
+    people = sorted(name for name in dataset.people() if name != PROGRAM)
+    parts = []
+    for first, second in combinations(people, 2):
+        found = dataset.compare(first, second)
+        if found.episodes >= LEAST:
+            parts.append(in_words(first, second, found))
+    return "\n\n".join(parts) or (
+        "No two people have answered the same episodes yet.\n\n"
+        "In the queue 'Random audit' with blind mode on (Ctrl+B), Enter keeps your displacement "
+        "as an opinion: the label itself does not change."
+    )
+
+
+def in_words(first: str, second: str, c: Comparison) -> str:
+    """Return the figures of two persons; what is not known is left out."""
+    lines = [f"{first} minus {second}, {c.episodes} episodes"]
+    for axis, bias, icc in (("x", c.bias_x_mm, c.icc_x), ("y", c.bias_y_mm, c.icc_y)):
+        if not math.isnan(bias.mean):
+            limits = f", 95 % limits {_signed(bias.lower)} to {_signed(bias.upper)}"
+            known = "" if math.isnan(bias.lower) else limits
+            lines.append(f"{axis}: bias {_signed(bias.mean)} mm{known}{_figure(', ICC', icc)}")
+    rest = [
+        _figure("RMS", c.rms_mm, " mm"),
+        _figure("patch IoU", c.patch_iou),
+        _figure("verdicts: kappa", c.kappa),
+        _figure("alpha", c.alpha),
+    ]
+    lines.append(", ".join(part for part in rest if part))
+    if not any(map(math.isnan, c.drift_mm)):
+        lines.append(f"drift x {_signed(c.drift_mm[0])}, y {_signed(c.drift_mm[1])} mm")
+    if not any(map(math.isnan, c.seconds)):
+        lines.append(f"time {c.seconds[0]:.1f} s and {c.seconds[1]:.1f} s an episode")
+    return "\n".join(line for line in lines if line)
+
+
+def _figure(name: str, value: float, unit: str = "") -> str:
+    return "" if math.isnan(value) else f"{name} {value:.2f}{unit}"
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.2f}".replace("-", "\N{MINUS SIGN}")

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import threading
 from functools import partial
 
 from PySide6.QtCore import QPoint
 from PySide6.QtWidgets import QWidget
 
+from app.activity import busy
 from app.link import Link
+from backend.core.facts import Refused, Said
+from backend.core.faults import FaultError
 from backend.devices.protocols import Device
+from backend.devices.reconnect import reconnect
 from widgets.device_inspector import DeviceInspector
 from widgets.top_bar import CHIPS, TopBar
+
+RECONNECT_S = 5.0
 
 
 class InspectPresenter:
@@ -20,6 +27,7 @@ class InspectPresenter:
         self._link, self._bar, self._window = link, bar, window
         self._titles = dict(CHIPS)
         self.sheet: DeviceInspector | None = None
+        self._connecting = False
         for key, chip in bar.chips.items():
             chip.clicked.connect(partial(self.open, key))
 
@@ -29,15 +37,36 @@ class InspectPresenter:
         if device is None:
             return
         if self.sheet is None:
-            self.sheet = DeviceInspector(self._window)
+            self.sheet = DeviceInspector(self._window, self.reconnect)
         chip = self._bar.chips[key]
         below = chip.mapToGlobal(QPoint(0, chip.height() + 8))
         self.sheet.open_at(key, self._titles[key], rows_of(device), below)
+
+    def reconnect(self) -> None:
+        """Connect the shown device anew, on a thread: a cable may take seconds to answer."""
+        device = None if self.sheet is None else self._link.devices.get(self.sheet.key)
+        if device is not None and not self._connecting and not busy(self._link):
+            self._connecting = True
+            threading.Thread(
+                target=self._reconnect, args=(device,), name="reconnect", daemon=True
+            ).start()
+
+    def _reconnect(self, device: Device) -> None:
+        now_s, publish = self._link.clock_s(), self._link.hub.publish
+        try:
+            reconnect(device, RECONNECT_S, threading.Event())
+        except FaultError as error:
+            publish(Refused(now_s, error.fault.code, f"{error.fault.what} {error.fault.next_step}"))
+        else:
+            publish(Said(now_s, f"The {device.name} is connected again."))
+        finally:
+            self._connecting = False
 
     def draw(self) -> None:
         """Show the present values while it is open."""
         if self.sheet is None or not self.sheet.isVisible():
             return
+        self.sheet.reconnect.setEnabled(not self._connecting and not busy(self._link))
         device = self._link.devices.get(self.sheet.key)
         if device is not None:
             self.sheet.show_rows(rows_of(device))

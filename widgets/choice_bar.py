@@ -17,6 +17,7 @@ class ChoiceBar(QFrame):
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self.setProperty("role", "question")
+        self.setAccessibleName("Question")
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self._title = label("", "title")
         self._grid = QGridLayout()

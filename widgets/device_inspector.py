@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from PySide6.QtCore import QPoint, Qt
-from PySide6.QtWidgets import QDialog, QGridLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import (
+    QDialog,
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
 
 from widgets.panel import label, rule
 
@@ -15,10 +23,13 @@ Rows = Sequence[tuple[str, str]]
 class DeviceInspector(QDialog):
     """A table of (field, value) that follows one device."""
 
-    def __init__(self, parent: QWidget) -> None:
+    def __init__(self, parent: QWidget, on_reconnect: Callable[[], None]) -> None:
         super().__init__(parent)
         self.setModal(False)
         self.key = ""
+        self.reconnect = QPushButton("Reconnect")
+        self.reconnect.setToolTip("Close the connection and open it again; nothing is let go")
+        self.reconnect.clicked.connect(on_reconnect)
         self._head = label("", "head")
         self._grid = QGridLayout()
         self._grid.setHorizontalSpacing(28)
@@ -34,7 +45,11 @@ class DeviceInspector(QDialog):
         column.addLayout(self._grid)
         column.addStretch(1)
         column.addWidget(rule())
-        column.addWidget(self._close, 0, Qt.AlignmentFlag.AlignRight)
+        buttons = QHBoxLayout()
+        buttons.addWidget(self.reconnect)
+        buttons.addStretch(1)
+        buttons.addWidget(self._close)
+        column.addLayout(buttons)
         self.setMinimumWidth(300)
 
     def open_at(self, key: str, title: str, rows: Rows, below: QPoint) -> None:
@@ -42,6 +57,7 @@ class DeviceInspector(QDialog):
         self.key = key
         self.setWindowTitle(f"{title}: raw fields")
         self._head.setText(title)
+        self.reconnect.setAccessibleName(f"Reconnect {title}")
         self._build(rows)
         self.adjustSize()
         self.move(below)

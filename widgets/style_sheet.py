@@ -87,6 +87,12 @@ QAbstractSpinBox QLineEdit {{ border: none; padding: 0; background: transparent;
     min-height: 0; }}
 QComboBox[role="compact"] {{ padding: 0 6px; min-height: 18px; font-size: {small}pt; }}
 
+QSlider::groove:horizontal {{ height: 4px; background: {hairline}; border-radius: 2px; }}
+QSlider::sub-page:horizontal {{ background: {focus}; border-radius: 2px; }}
+QSlider::handle:horizontal {{ width: 14px; margin: -6px 0; background: {raised};
+    border: 2px solid {border}; border-radius: 4px; }}
+QSlider::handle:horizontal:focus {{ border-color: {focus}; }}
+
 QMenu {{ background: {raised}; color: {text}; border: 1px solid {border}; padding: 4px; }}
 QMenu::item {{ padding: 5px 24px 5px 12px; border-radius: 4px; }}
 QMenu::item:selected {{ background: {selection}; color: {selection_text}; }}

@@ -134,7 +134,7 @@ class OperatePage(QWidget):
         panel.header.addWidget(self.looks)
         panel.header.addWidget(self.baseline)
         fingers = QHBoxLayout()
-        fingers.setSpacing(10)
+        fingers.setSpacing(18)
         for caption in self.captions.values():
             fingers.addWidget(caption, 1)
         panel.column.addLayout(fingers)

@@ -4,6 +4,8 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 
 from app.inspect import rows_of
+from backend.devices.protocols import Identity
+from backend.runs.requests import RunState
 from tests.app.conftest import settle
 
 
@@ -45,3 +47,36 @@ def test_text_is_written_as_the_device_says_it(bench):
     rows = dict(rows_of(bench.devices["arm"]))
     assert rows["gel"] == "large-dot"
     assert rows["x_mm"] == "\N{MINUS SIGN}3"
+
+
+def test_reconnect_runs_beside_the_window_and_says_how_it_went(live, bench, qtbot):
+    device = bench.devices["gripper"]
+    device.close = lambda: None
+    device.connect = lambda timeout_s, cancel: None
+    live.inspect.open("gripper")
+    live.inspect.sheet.reconnect.click()
+    qtbot.waitUntil(lambda: not live.inspect._connecting, timeout=3000)
+    settle(live)
+    assert "gripper is connected again" in live.window._message.text()
+
+
+def test_another_serial_number_is_a_card(live, bench, qtbot):
+    device = bench.devices["tactile_left"]
+    device.close = lambda: None
+
+    def swapped(timeout_s, cancel):
+        device.identity = Identity("Touchdown", "stand-in", "0002", "1")
+
+    device.connect = swapped
+    live.inspect.open("tactile_left")
+    live.inspect.sheet.reconnect.click()
+    qtbot.waitUntil(lambda: not live.inspect._connecting, timeout=3000)
+    settle(live)
+    assert "0002 answers instead of 0001" in live.cards.card("OTHER-DEVICE").text.what
+
+
+def test_nothing_is_reconnected_during_a_run(live, bench):
+    bench.set_state(RunState.RUNNING)
+    live.inspect.open("gripper")
+    live.inspect.draw()
+    assert not live.inspect.sheet.reconnect.isEnabled()

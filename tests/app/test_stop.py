@@ -3,17 +3,26 @@
 import pytest
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication, QFileDialog, QMenu, QMessageBox
+from PySide6.QtWidgets import (
+    QAbstractSpinBox,
+    QApplication,
+    QComboBox,
+    QFileDialog,
+    QLineEdit,
+    QMenu,
+    QMessageBox,
+    QSpinBox,
+)
 
 from backend.devices.protocols import RobotMode
 from backend.runs.requests import RunState
 from tests.app.conftest import settle
 
-PLACES = ["window", "combo", "spin box", "combo popup", "menu", "message box", "file dialog"]
+PLACES = ["window", "combo", "spin box", "line edit", "combo popup", "menu", "message box",
+          "file dialog"]  # fmt: skip
 
-FIELDS = ("combo", "spin box", "combo popup")
-CASES = [("stack", place) for place in PLACES]
-CASES += [("review", place) for place in PLACES if place not in FIELDS]
+PAGES = ("operate", "collect", "train", "stack", "review")
+CASES = [(page, place) for page in PAGES for place in PLACES]
 
 
 def press(key):
@@ -26,16 +35,28 @@ def press(key):
     QTest.keyClick(window.windowHandle(), key)
 
 
+def field_of(main, kind):
+    """Return a field of the page in front; a page without one gets one of its own."""
+    page = main.workspaces[main.window.front].page
+    for field in page.findChildren(kind):
+        if field.isVisible() and field.isEnabled() and field.objectName() != "qt_spinbox_lineedit":
+            return field
+    field = (QSpinBox if kind is QAbstractSpinBox else kind)(page)
+    if isinstance(field, QComboBox):
+        field.addItems(["one", "two"])
+    field.show()
+    return field
+
+
 def put_focus(main, place):
     """Open what the case names; return what closes it again."""
-    run = main.workspaces["stack"].page.run
-    if place == "combo":
-        run._piece.setFocus()
-    elif place == "spin box":
-        run._seed.setFocus()
+    kinds = {"combo": QComboBox, "spin box": QAbstractSpinBox, "line edit": QLineEdit}
+    if place in kinds:
+        field_of(main, kinds[place]).setFocus()
     elif place == "combo popup":
-        run._piece.showPopup()
-        return run._piece.hidePopup
+        combo = field_of(main, QComboBox)
+        combo.showPopup()
+        return combo.hidePopup
     elif place == "menu":
         menu = QMenu(main.window)
         menu.addAction("one")
@@ -55,6 +76,8 @@ def put_focus(main, place):
 
 @pytest.mark.parametrize(("page", "place"), CASES)
 def test_f12_stops_exactly_once_from_everywhere(live, bench, qtbot, page, place):
+    if page not in live.workspaces:
+        pytest.skip(f"there is no workspace '{page}' yet")
     live.go(page)
     close = put_focus(live, place)
     QApplication.processEvents()

@@ -6,6 +6,7 @@ recognise them. So whole mountings are held out, or whole grips where there are 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,10 +33,17 @@ def split_rows(rows: TrainingRows, share: float, seed: int) -> Split:
     Mountings where there are at least 30, else grips. Raises ``InputError`` if all episodes come
     from one grip: then every split would leak.
     """
-    if len(set(rows.mounting_id)) >= MIN_MOUNTINGS:
-        keys, kind = list(rows.mounting_id), "mounting"
+    return split_groups(rows.mounting_id, rows.grip_id, share, seed)
+
+
+def split_groups(
+    mounting_id: Sequence[str], grip_id: Sequence[str], share: float, seed: int
+) -> Split:
+    """Split as ``split_rows`` does, from the mounting and the grip of each episode."""
+    if len(set(mounting_id)) >= MIN_MOUNTINGS:
+        keys, kind = list(mounting_id), "mounting"
     else:
-        pairs = zip(rows.mounting_id, rows.grip_id, strict=True)
+        pairs = zip(mounting_id, grip_id, strict=True)
         keys, kind = [f"{mounting}/{grip}" for mounting, grip in pairs], "grip"
     names, group, sizes = np.unique(keys, return_inverse=True, return_counts=True)
     if len(names) < 2:

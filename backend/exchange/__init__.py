@@ -1,0 +1,1 @@
+"""Handing data on: exports in formats that others read, and imports from them."""

@@ -184,6 +184,18 @@ class Gripped(Fact):
     mass_g: float
 
 
+@dataclass(frozen=True, slots=True)
+class OriginChecked(Fact):
+    """The edges of the bottom were felt: its centre minus the origin, in mm.
+
+    ``sigma_mm``: standard uncertainty per axis; ``agrees``: the residual is within three of them.
+    """
+
+    residual_mm: tuple[float, float]
+    sigma_mm: float
+    agrees: bool
+
+
 Decision = Literal["keep", "discard", "redo", "flag", "skip"]
 
 

@@ -63,7 +63,7 @@ def _mountings(
             seen = coverage_of(recorder.dataset, entries, target.face, target.bottom)
             planned_mm(campaign.pattern, target, campaign.seed, 0, campaign.count, seen)
             collector = Collector(campaign, recorder, host.decisions, seen, entries)
-            collector.ask = request.ask
+            collector.ask, collector.check_origin = request.ask, request.check_origin
         campaign = collector.campaign = collector.campaign.with_mounting()
         campaign.save(recorder.dataset.folder)
         origin = _origin(bench, request)

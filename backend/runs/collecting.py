@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter, deque
 from dataclasses import dataclass, replace
 
@@ -35,6 +36,7 @@ from backend.runs.gate import Decisions
 from backend.runs.jig import approach, pick, put_back
 from backend.runs.judged import Felt
 from backend.runs.motions import MOVE_S, lift
+from backend.runs.origin_check import check_origin
 from backend.runs.plan import Checkpoint, Plan, Waiting, motion_done
 from backend.runs.probe import press_once
 from backend.sensing.episode import EpisodeLimits
@@ -68,7 +70,7 @@ class Collector:
         self.seen = seen
         self.todo = deque(campaign.todo(entries))
         self.done = sum(e.quality.accepted and not e.deleted for e in entries)
-        self.ask = False
+        self.ask = self.check_origin = False
         self._rejected: Counter[int] = Counter()
         self._probes = 0
         self._taken: _Taken | None = None
@@ -83,6 +85,8 @@ class Collector:
                 break
             mass_g = yield from pick(bench)
             yield Gripped(bench.now_s(), grip, self.campaign.mountings, mass_g)
+            if self.check_origin and grip == 1:
+                context = yield from self._checked(bench, origin, context)
             held = replace(context, grip_id=f"{context.mounting_id}/grip-{grip}")
             yield from self._grip(bench, target, origin, held)
             yield from put_back(bench)
@@ -118,6 +122,16 @@ class Collector:
             drift_mm=taken.drift_mm,
             reasons="; ".join(episode.quality.reasons),
         )
+
+    def _checked(
+        self, bench: Bench, origin: Origin, context: EpisodeContext
+    ) -> Plan[EpisodeContext]:
+        """Feel the edges of the bottom; the result goes with every episode of the mounting."""
+        check = yield from check_origin(bench, origin)
+        x_mm, y_mm = check.residual_mm.tolist()
+        yield Said(bench.now_s(), words.origin(x_mm, y_mm, check.sigma_mm, check.agrees))
+        found = {"residual_mm": [x_mm, y_mm], "sigma_mm": check.sigma_mm}
+        return replace(context, bench={**context.bench, "origin_check": json.dumps(found)})
 
     # -- inside -----------------------------------------------------------------------------------
 

@@ -45,6 +45,12 @@ DECIDED = {
 """Why an episode was deleted, by the decision."""
 
 
+def origin(x_mm: float, y_mm: float, sigma_mm: float, agrees: bool) -> str:
+    """Say where the bottom was felt against where it should be."""
+    felt = f"The bottom was felt {x_mm:+.2f}, {y_mm:+.2f} mm off its origin (s.d. {sigma_mm:.2f})"
+    return f"{felt}." if agrees else f"{felt}: set the origin again, the labels are off by this."
+
+
 def regrip(why: str) -> str:
     """Say why the piece goes back into its jig before its time."""
     return f"The piece is gripped anew: {why}."

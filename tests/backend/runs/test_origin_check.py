@@ -1,0 +1,51 @@
+"""The check of the origin finds where the bottom really is, within its own uncertainty."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from backend.core.facts import OriginChecked, RunFinished
+from backend.dataset.contents import read_first
+from backend.simulation.conditions import true_offset_mm
+from tests.backend.runs.test_collect import collecting
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.mark.parametrize("off_mm", [(0.0, 0.0), (0.8, -1.3)])
+def test_the_felt_centre_is_where_the_bottom_is(tmp_path, off_mm) -> None:
+    with collecting(tmp_path / "ds") as collected:
+        truth = []
+
+        def look(fact):
+            if isinstance(fact, OriginChecked):
+                # The true displacement at the command (0, 0): what the origin should cancel.
+                holding = collected.session._scene.stage.scoring.bench._world.holding
+                truth.append(-true_offset_mm(np.zeros((1, 2)), holding.conditions)[0])
+
+        collected.session.hub.subscribe(look)
+        collected.run(count=1, check_origin=True, origin_mm=off_mm)
+        (fact,) = collected.of(OriginChecked)
+        assert collected.of(RunFinished)[-1].ending == "finished"
+        error = np.array(fact.residual_mm) + off_mm - truth[0]
+        # The piece in the grasp is part of the truth here, so that only touch and arm remain.
+        assert np.abs(error).max() <= 0.15
+        assert fact.agrees == (off_mm == (0.0, 0.0))
+        path = collected.dataset.folder / collected.entries[0].path
+        words = read_first(path).metadata["bench"]
+        assert json.loads(words["origin"])["origin_mm"] == list(off_mm)
+        np.testing.assert_allclose(
+            json.loads(words["origin_check"])["residual_mm"], fact.residual_mm
+        )
+
+
+def test_a_bottom_far_away_is_refused(tmp_path) -> None:
+    with collecting(tmp_path / "ds") as collected:
+        collected.run(count=1, check_origin=True, origin_mm=(5.0, 0.0))
+        ended = collected.of(RunFinished)[-1]
+        assert ended.ending == "failed"
+        assert "more than 3 mm" in ended.reason
+        assert collected.entries == []

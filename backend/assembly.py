@@ -43,7 +43,7 @@ JIG_MM = (-80.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class SimulatedBenchChoice:
-    """Which simulated bench: a settings file, else a named preset; faults; extra pieces.
+    """Which simulated bench: given settings, else a file, else a preset; faults; extra pieces.
 
     ``disturbances`` are texts such as ``tactile_left:stop@3.0``.
     """
@@ -52,9 +52,12 @@ class SimulatedBenchChoice:
     preset: str | None = None
     disturbances: tuple[str, ...] = ()
     pieces: Path | None = None
+    given: SimulationSettings | None = None
 
     def settings(self) -> SimulationSettings:
         """Read or make the settings; raises ``InputError``."""
+        if self.given is not None:
+            return self.given
         if self.file is not None:
             if self.preset is not None:
                 raise InputError(

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from backend.assembly import SimulatedBenchChoice, simulated_session
 from backend.config.load import parse
 from backend.config.method import StackSettings, TrainingSettings
 from backend.config.simulation import SimulationSettings
+from backend.core.facts import Fact, TrialFinished
 from backend.core.flow import FloatArray
 from backend.dataset.pack_file import write_packs
 from backend.dataset.rows import TrainingRows, join_rows, load_rows, patch_hex
@@ -36,7 +38,9 @@ from backend.learning.metrics import LEVEL, stable_flags
 from backend.learning.training import Trainer, fingerprint, one_thread
 from backend.objects.catalogue import load_catalogue
 from backend.objects.surface import face_points
+from backend.runs.requests import StackRequest
 from backend.sensing.episode import EpisodeLimits
+from backend.session import Keep
 from backend.simulation.episodes import Plan
 from backend.simulation.episodes import simulate as simulated
 from backend.simulation.scene import Scene
@@ -181,6 +185,39 @@ def stack(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
     return {**answer, "trials": [_trial(end) for end in ends]}
 
 
+def devices(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
+    """Run trials of a cell on the stepped bench: devices, rendered images, tracker, interlock."""
+    p = spec.params
+    (source,) = spec.inputs
+    request = StackRequest(
+        piece=p["piece"],
+        bottoms=tuple(p["bottoms"]),
+        seed=spec.seed,
+        trials=p["trials"],
+        model=str(place.store.folder(source) / WEIGHTS),
+    )
+    ends: list[TrialFinished] = []
+
+    def note(fact: Fact) -> None:
+        if isinstance(fact, TrialFinished):
+            ends.append(fact)
+
+    # A fault ends a run: each trial is a run of its own, so that all of them count.
+    for trial in range(request.trials):
+        session = simulated_session(SimulatedBenchChoice(given=_bench(p)), keep=Keep(None))
+        session.hub.subscribe(note)
+        try:
+            session.run(replace(request, seed=spec.seed + trial, trials=1))
+        finally:
+            session.close()
+    return {
+        "trials": [
+            {"seed": e.seed, "outcome": e.outcome.value, "reason": e.reason, "probes": e.probes}
+            for e in ends
+        ]
+    }
+
+
 def _trial(end: TrialEnd) -> dict[str, Any]:
     margins = None if end.verdict is None else [_finite(m) for m in end.verdict.margins_mm]
     return {
@@ -245,5 +282,6 @@ KINDS: Kinds = {
     "train": train,
     "static": static,
     "stack": stack,
+    "devices": devices,
     "twins": twins,
 }

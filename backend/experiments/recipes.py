@@ -42,10 +42,14 @@ class Scale:
     probes_per_grip: int = 50
     grips_per_mounting: int = 40
     fused: int = 5
+    pictured: int = 1500
+    """Probes whose signals are shown and searched for presses that feel alike."""
+    repeated: int = 0
+    """Trials of each cell of Table 3 that are run on the devices as well, images and all."""
 
 
-FULL = Scale("full", probes=2000, epochs=30, groups=400, trials=100)
-QUICK = Scale("quick", probes=0, epochs=0, groups=40, trials=10)
+FULL = Scale("full", probes=2000, epochs=30, groups=400, trials=100, repeated=20)
+QUICK = Scale("quick", probes=0, epochs=0, groups=40, trials=10, pictured=400)
 SCALES = {scale.name: scale for scale in (FULL, QUICK)}
 
 
@@ -127,6 +131,14 @@ class Recipe:
             trials=self.scale.trials,
         )
 
+    def devices(self, piece: str, bottom: str) -> JobSpec | None:
+        """Return the first trials of a cell on the stepped bench; None if there are to be none."""
+        cell = self.stacking(piece, (bottom,), "paper")
+        if cell is None or not self.scale.repeated:
+            return None
+        params = {**cell.params, "trials": self.scale.repeated}
+        return JobSpec("devices", params, cell.seed, cell.inputs, self.code)
+
     def twins(self) -> JobSpec:
         """Return the small collection whose signals are shown and searched for alike presses."""
         return self._job(
@@ -134,7 +146,7 @@ class Recipe:
             TRAINING_SEED,
             piece=self.pieces[0],
             bottom=TRAINING_BOTTOMS[0],
-            episodes=1500 if self.scale.probes else 400,
+            episodes=self.scale.pictured,
             probes_per_grip=self.scale.probes_per_grip,
             grips_per_mounting=self.scale.grips_per_mounting,
         )
@@ -148,7 +160,7 @@ class Recipe:
             return scale.probes * scale.epochs // 2
         if spec.kind == "static":
             return 5 * int(p["groups"]) * int(p["probes"]) // 2
-        return 10 * int(p["trials"])
+        return (2000 if spec.kind == "devices" else 10) * int(p["trials"])
 
     def _all(self) -> Iterator[JobSpec]:
         for piece in self.pieces:
@@ -161,6 +173,7 @@ class Recipe:
             for bottom in BOTTOMS:
                 cells += [self.stacking(piece, (bottom,), s) for s in ("pick-and-place", "paper")]
             cells.append(self.stacking(piece, TWO, "paper"))
+            cells += [self.devices(piece, bottom) for bottom in BOTTOMS]
             yield from (cell for cell in cells if cell is not None)
 
     def _source(self, piece: str, model: str) -> str | None:

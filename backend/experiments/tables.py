@@ -123,6 +123,9 @@ def _table3(recipe: Recipe, store: JobStore) -> list[Json]:
             cell = _cell(piece, "+".join(bottoms), spec, share)
             if answer:
                 cell |= stacking_cell(answer["trials"]) | {"left_out": answer["left_out"]}
+                if strategy == "paper" and tower == "one":
+                    again = _answer(recipe.devices(piece, bottom), store)
+                    cell["devices"] = again and agreement(answer["trials"], again["trials"])
             cells.append(cell)
         done = [cell for cell in cells if "outcomes" in cell]
         placed = sum(cell["outcomes"].get(Outcome.PLACED.value, 0) for cell in done)
@@ -155,6 +158,22 @@ def stacking_cell(trials: Sequence[Mapping[str, Any]]) -> Json:
         "unsafe_releases": sum(counts.get(word, 0) for word in UNSAFE),
         "top_interface": rate(top, len(trials)).as_json(),
         "probes": sum(probes) / len(probes) if probes else None,
+    }
+
+
+def agreement(batch: Sequence[Mapping[str, Any]], devices: Sequence[Mapping[str, Any]]) -> Json:
+    """Compare the trials that were run both ways, by seed."""
+    mine = {trial["seed"]: trial for trial in batch}
+    pairs = [(mine[trial["seed"]], trial) for trial in devices]
+    placed = [
+        sum(t["outcome"] == Outcome.PLACED.value for t in side) for side in zip(*pairs, strict=True)
+    ]
+    return {
+        "trials": len(pairs),
+        "same_outcome": sum(a["outcome"] == b["outcome"] for a, b in pairs),
+        "placed_batch": placed[0],
+        "placed_devices": placed[1],
+        "probes_apart": sum(abs(a["probes"] - b["probes"]) for a, b in pairs) / len(pairs),
     }
 
 

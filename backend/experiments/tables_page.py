@@ -110,7 +110,8 @@ def _table3(rows: Sequence[Json]) -> str:
         parts.append(f"<h3>{title}: placed, %</h3>{_grid(chosen[0]['cells'], lines, 'pooled')}")
     parts.append(
         "<p><small>Every trial counts; every start is unstable; the exact judge of all interfaces "
-        "decides. Counts: placed / fell / knocked over / gave up / aborted.</small></p>"
+        "decides. Counts: placed / fell / knocked over / gave up / aborted. <i>Devices agree</i>: "
+        "trials repeated with devices, images and tracker that ended alike.</small></p>"
     )
     return "".join(parts)
 
@@ -151,6 +152,9 @@ def _stacking_cell(cell: Json) -> str:
         return _cell(cell)
     order = ("placed", "fell", "knocked_over", "gave_up", "aborted")
     more = "<small>" + " / ".join(str(counts.get(word, 0)) for word in order) + "</small>"
+    again = cell.get("devices")
+    if again:
+        more += f"<small>devices agree {again['same_outcome']} of {again['trials']}</small>"
     if cell["probes"] is not None:
         more += f"<small>{cell['probes']:.1f} probes</small>"
     return _cell(cell, more)

@@ -24,16 +24,18 @@ from backend.experiments.recipes import (
     Scale,
 )
 from backend.experiments.scenes import LEAN_MM, Case, balanced_offset, start_scene
+from backend.experiments.tables import agreement
 from backend.experiments.writing import DATA, PAGE, write_tables
 from backend.jobs.campaign import run_campaign
 from backend.jobs.executor import Serial
+from backend.jobs.running import run_job
 from backend.jobs.spec import JobSpec
 from backend.jobs.store import JobStore
 from backend.objects.catalogue import load_catalogue
 from backend.runs.requests import SceneChoice
 
 HARD = SimulationSettings.model_validate({"preset": "hard"})
-TINY = Scale("tiny", 30, 1, 4, 2, probes_per_grip=5, grips_per_mounting=2, fused=3)
+TINY = Scale("tiny", 30, 1, 4, 2, 5, 2, fused=3, pictured=40)
 
 
 def test_full_has_the_papers_counts() -> None:
@@ -45,6 +47,7 @@ def test_full_has_the_papers_counts() -> None:
         "twins": 1,
         "static": 6,
         "stack": 15,
+        "devices": 6,
     }
     collected = [spec.params["episodes"] for spec in jobs if spec.kind == "simulate"]
     assert collected == [2000] * 9
@@ -167,6 +170,42 @@ def test_quick_uses_models_that_exist_and_leaves_other_cells_empty(tmp_path: Pat
     names = {name for name, _, _ in MODELS}
     assert set(recipe.jobs()[1].params["models"]) < names
     assert PIECES == ("mushroom", "barrel", "pot")
+
+
+@pytest.mark.slow
+def test_trials_are_repeated_on_the_devices_with_the_same_model(tmp_path: Path) -> None:
+    store = JobStore(tmp_path / "jobs")
+    models = adopt_models(store, models_that_ship("mixed"))
+    only = {("pot", "FT+Tac"): models["pot", "FT+Tac"]}
+    recipe = Recipe(replace(QUICK, trials=1, repeated=1), HARD, "1", only, ("pot",))
+    cells = [recipe.stacking("pot", ("short",), "paper"), recipe.devices("pot", "short")]
+    answers = []
+    for spec in cells:
+        assert spec is not None
+        assert run_job(spec, KINDS, store).error == ""
+        answers.append(store.result(spec.id)["trials"])
+    both = agreement(*answers)
+    assert (both["trials"], both["same_outcome"]) == (1, 1)
+    assert both["probes_apart"] <= 1
+
+
+def test_agreement_is_counted_by_seed() -> None:
+    batch = [
+        {"seed": 1, "outcome": "placed", "probes": 3},
+        {"seed": 2, "outcome": "fell", "probes": 2},
+        {"seed": 3, "outcome": "placed", "probes": 2},
+    ]
+    devices = [
+        {"seed": 2, "outcome": "placed", "probes": 4},
+        {"seed": 1, "outcome": "placed", "probes": 3},
+    ]
+    assert agreement(batch, devices) == {
+        "trials": 2,
+        "same_outcome": 1,
+        "placed_batch": 1,
+        "placed_devices": 2,
+        "probes_apart": 1.0,
+    }
 
 
 def test_an_empty_folder_of_models_is_bad_input(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from backend.catalogue.journal import Journal
 from backend.catalogue.labels import LabelBook
 from backend.catalogue.local_disk import refuse_network
 from backend.catalogue.merge import Merged
+from backend.catalogue.packs import read_packed
 from backend.catalogue.recovery import reconcile
 from backend.catalogue.review import check_person
 from backend.catalogue.schema import SCHEMA_VERSION
@@ -192,7 +193,12 @@ class Dataset:
 
     def read(self, uuid: str) -> Episode:
         """Read the signals of an episode; raises ``InputError`` naming a damaged file."""
-        return read_episode(self.path(uuid))
+        path = self.path(uuid)
+        sql = "SELECT chunk_off, chunk_len FROM episode WHERE uuid = ?"
+        offset, length = self.database.one(sql, (uuid,))
+        if offset is None:
+            return read_episode(path)
+        return replace(read_packed(path, (offset, length)), episode_id=uuid)
 
     def patch(self, uuid: str) -> TruePatch:
         """Return the true patch of the label that holds, derived from the geometry."""

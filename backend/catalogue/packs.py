@@ -20,9 +20,10 @@ from backend.catalogue.salvage import salvage
 from backend.catalogue.uuid7 import from_parts
 from backend.catalogue.values import PROGRAM, Content
 from backend.core.faults import InputError
-from backend.core.flow import EpisodeQuality
-from backend.dataset.channels import LABEL, unpack_json
-from backend.dataset.contents import FIX, StoredChunk, explained, read_chunks
+from backend.core.flow import Episode, EpisodeQuality
+from backend.dataset.channels import LABEL, OBS, unpack_json
+from backend.dataset.contents import FIX, StoredChunk, explained, read_chunk, read_chunks
+from backend.dataset.unpacking import unpack_observation
 from backend.objects.catalogue import Catalogue, load_catalogue
 
 PACKS = "packs"
@@ -76,6 +77,16 @@ def read_pack_chunks(path: Path) -> Iterator[Packed]:
             label = unpack_json(messages[0])
             label_of(label)
             yield Packed(uuid_of(chunk), chunk, label)
+
+
+def read_packed(path: Path, chunk: tuple[int, int]) -> Episode:
+    """Read one episode of a pack: what the model sees and the commanded offset, no recording."""
+    group = read_chunk(path, *chunk)
+    with explained(path):
+        label = unpack_json(group.messages[LABEL.name][0])
+        observation = unpack_observation(group.messages[OBS.name])
+        name, piece = str(label["episode"]), str(label["piece"])
+        return Episode(name, piece, observation, label_of(label).offset_mm, 0.0, GOOD)
 
 
 def uuid_of(chunk: StoredChunk) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -33,6 +33,8 @@ LEFT_OVERS = (
     (".", ".rebuilt.db*"),
 )
 """What a crash may leave of files that are made again anyway."""
+TOGETHER = 500
+"""Findings mended in one transaction: a disk that is not mounted makes thousands."""
 BUSY_S = 60.0
 """A cache that changed this recently is not a left-over."""
 
@@ -55,30 +57,35 @@ def reconcile(where: Store, *, whole: bool = False) -> list[Finding]:
     # Labels come first: an episode whose label is in the journal must not get a second one.
     for check in (check_labels(where, whole=whole), check_files(where, whole=whole),
                   check_packs(where, whole=whole), _left_overs(where)):  # fmt: skip
-        for finding in list(check):
-            done = _mended(where, finding)
-            if done is not None:
-                told.append(done)
+        found = list(check)
+        for start in range(0, len(found), TOGETHER):
+            told += _mended(where, found[start : start + TOGETHER])
     for site in _sites(where):
         with where.database.transaction() as connection:
             where.journal.catch_up(connection, site)
     return told
 
 
-def _mended(where: Store, finding: Finding) -> Finding | None:
-    """Return what to say after mending; None if it was said before and nothing changed."""
-    if finding.mend is None:
-        is_new = _tell_once(where, finding)
-        return finding if is_new or finding.locks else None
-    try:
-        with where.database.transaction() as connection:
-            finding.mend(connection)
-            add_event(connection, PROGRAM, finding.kind, finding.target, {"said": finding.said})
-    except (InputError, OSError) as error:
-        said = f"{finding.said} That failed: {error}"
-        failed = Finding("not-mended", finding.target, said)
-        return failed if _tell_once(where, failed) else None
-    return finding
+def _mended(where: Store, findings: Sequence[Finding]) -> list[Finding]:
+    """Mend in one transaction; return what to say: all but what was said before."""
+    told: list[Finding] = []
+    untold = [finding for finding in findings if finding.mend is None]
+    with where.database.transaction() as connection:
+        for finding in findings:
+            if finding.mend is None:
+                continue
+            connection.execute("SAVEPOINT one")
+            try:
+                finding.mend(connection)
+                body = {"said": finding.said}
+                add_event(connection, PROGRAM, finding.kind, finding.target, body)
+                told.append(finding)
+            except (InputError, OSError, sqlite3.IntegrityError) as error:
+                connection.execute("ROLLBACK TO one")
+                said = f"{finding.said} That failed: {error}"
+                untold.append(Finding("not-mended", finding.target, said))
+            connection.execute("RELEASE one")
+    return told + [f for f in untold if _tell_once(where, f) or f.locks]
 
 
 def _tell_once(where: Store, finding: Finding) -> bool:

@@ -88,6 +88,20 @@ def read(path: Path) -> list[EpisodeRow]:
     return list(read_pack(path))
 
 
+def test_a_packed_episode_is_read_like_any_other(folder: Path) -> None:
+    sent = {row.observation.tobytes(): row.label for row in read(folder / "packs" / "a.mcap")}
+    with Dataset.open(folder) as dataset:
+        for entry in dataset.episodes():
+            episode = dataset.read(entry.uuid)
+            label = sent.pop(episode.observation.tobytes())
+            assert (episode.episode_id, episode.piece) == (entry.uuid, "pot")
+            assert dataset.labels.head(entry.uuid).label.x_um == label["x_um"]
+            assert np.array_equal(
+                episode.offset_mm, dataset.labels.head(entry.uuid).label.offset_mm
+            )
+    assert sent == {}
+
+
 def test_the_same_pack_elsewhere_is_the_same_episodes(folder: Path, tmp_path: Path) -> None:
     with Dataset.open(folder) as dataset:
         before = [entry.uuid for entry in dataset.episodes()]

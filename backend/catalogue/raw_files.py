@@ -55,15 +55,16 @@ def check_files(where: Store, *, whole: bool) -> Iterator[Finding]:
     by_uuid = {row.uuid: row for row in rows}
     found: set[str] = set()
     parts: list[Path] = []
-    for path, size in _walk(where.folder / recording.RAW):
-        name = where.name(path)
-        if path.name.endswith(PART):
-            parts.append(path)
-        elif name in by_path:
+    for name, size in _walk(where.folder / recording.RAW, recording.RAW):
+        row = by_path.get(name)
+        if row is not None:
             found.add(name)
-            yield from _known(where, path, size, by_path[name], whole=whole)
+            if whole or size != row.bytes or row.state != "complete":
+                yield from _known(where, where.folder / name, size, row, whole=whole)
+        elif name.endswith(PART):
+            parts.append(where.folder / name)
         else:
-            for finding in _unknown(where, path, by_uuid):
+            for finding in _unknown(where, where.folder / name, by_uuid):
                 if finding.kind == "moved":
                     found.add(by_uuid[finding.target].path)
                 yield finding
@@ -75,17 +76,22 @@ def check_files(where: Store, *, whole: bool) -> Iterator[Finding]:
         yield from _left_over(where, part, by_path)
 
 
-def _walk(folder: Path) -> Iterator[tuple[Path, int]]:
-    """Yield episode files and leftovers below ``folder`` with their sizes, by name."""
-    if not folder.is_dir():
+def _walk(folder: Path | str, name: str) -> Iterator[tuple[str, int]]:
+    """Yield episode files and leftovers below ``folder``, named ``name``, with their sizes.
+
+    Texts, not paths: a hundred thousand paths take longer to make than to read from the disk.
+    """
+    try:
+        with os.scandir(folder) as entries:
+            listed = sorted(entries, key=lambda entry: entry.name)
+    except FileNotFoundError:
         return
-    with os.scandir(folder) as entries:
-        listed = sorted(entries, key=lambda entry: entry.name)
     for entry in listed:
-        if entry.is_dir(follow_symlinks=False):
-            yield from _walk(Path(entry.path))
-        elif entry.name.endswith((".mcap", PART)) and entry.is_file(follow_symlinks=False):
-            yield Path(entry.path), entry.stat().st_size
+        if entry.name.endswith((".mcap", PART)):
+            if entry.is_file(follow_symlinks=False):
+                yield f"{name}/{entry.name}", entry.stat(follow_symlinks=False).st_size
+        elif entry.is_dir(follow_symlinks=False):
+            yield from _walk(entry.path, f"{name}/{entry.name}")
 
 
 def _known(where: Store, path: Path, size: int, row: Row, *, whole: bool) -> Iterator[Finding]:

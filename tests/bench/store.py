@@ -27,7 +27,7 @@ def catalogue_of_100_000() -> list[Figure]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "dataset"
         with Dataset.open(folder) as dataset:
-            uuids = fill(dataset, EPISODES, APPROVED)
+            uuids = fill(dataset, EPISODES, APPROVED, batch=1)
             make_files(dataset)
         Dataset.open(folder).close()
         begin = time.perf_counter()

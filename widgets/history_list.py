@@ -34,6 +34,7 @@ class HistoryList(QWidget):
         self.list = _Quiet()
         self.list.setAccessibleName("Versions of the label")
         self.list.setWordWrap(True)
+        self.list.setResizeMode(QListWidget.ResizeMode.Adjust)
         self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.restore = QPushButton("Restore")
         self.restore.setToolTip("Make a new version with the content of the chosen one")

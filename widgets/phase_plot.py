@@ -25,7 +25,7 @@ class PhasePlot(QWidget):
         self._cursor_s = 0.0
         self.setAccessibleName("Moment Tx over moment Ty")
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
-        self.setMinimumSize(120, 110)
+        self.setMinimumSize(140, 110)
         self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
 
     def sizeHint(self) -> QSize:

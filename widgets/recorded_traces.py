@@ -1,6 +1,6 @@
 """The six wrench curves of one recorded probe: any of them on one axis, one cursor for all.
 
-Forces are solid and read on the left, moments dashed and read on the right. The cursor is a time,
+Of two units the first is read on the left, the second on the right. The cursor is a time,
 not an index: curves and pictures with other rates stand at the same instant.
 """
 
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
-from PySide6.QtGui import QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap
+from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from backend.core.flow import FloatArray
@@ -148,9 +148,15 @@ class RecordedTraces(QWidget):
         values, left = self.at_cursor(), area.rect.left()
         for channel in self.channels:
             text = _reading(channel, values[channel])
-            painter.setPen(t.colour(f"axis_{'xyz'[channel % 3]}"))
+            painter.setPen(self._colour(channel))
             painter.drawText(QPointF(left, area.rect.top() - 5), text)
-            left += painter.fontMetrics().horizontalAdvance(text) + 12
+            left += painter.fontMetrics().horizontalAdvance(text) + 8
+
+    def _colour(self, channel: int) -> QColor:
+        """Return the colour of the axis; of a pair each has its own, whatever its axis."""
+        pair = len(self.channels) == 2
+        axis = "xz"[self.channels.index(channel)] if pair else "xyz"[channel % 3]
+        return self._theme.tokens.colour(f"axis_{axis}")
 
     def _curves(self, trace: WrenchTrace) -> QPixmap:
         key = (self.size().toTuple(), self._theme.tokens.name, self._theme.scale)
@@ -199,7 +205,7 @@ class RecordedTraces(QWidget):
             else:
                 box = QRectF(0, y - height / 2, rect.left() - 5, height)
                 painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), text)
-        place = QRectF(0, rect.bottom() + 2, rect.left() - 5, height)
+        place = QRectF(0, rect.top() - height - 3, rect.left() - 5, height)
         if right:
             place.moveLeft(rect.right() + 5)
         side = Qt.AlignmentFlag.AlignLeft if right else Qt.AlignmentFlag.AlignRight
@@ -209,10 +215,7 @@ class RecordedTraces(QWidget):
         for channel in self.channels:
             area = self.area(unit_of(channel))
             painter.setClipRect(area.rect)
-            pen = QPen(self._theme.tokens.colour(f"axis_{'xyz'[channel % 3]}"), 1)
-            if channel >= 3 and len(self.units()) > 1:
-                pen.setStyle(Qt.PenStyle.DashLine)
-            painter.setPen(pen)
+            painter.setPen(QPen(self._colour(channel), 1))
             t_s, values = extremes(trace.t_s, trace.values[:, channel], int(area.rect.width()))
             good = np.isfinite(values)
             edges = np.flatnonzero(np.diff(good.astype(np.int8), prepend=0, append=0))

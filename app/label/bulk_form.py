@@ -36,6 +36,7 @@ class BulkForm(QWidget):
         buttons.addStretch(1)
         column = QVBoxLayout(self)
         column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(5)
         for part in (self.kind, self.value):
             column.addWidget(part)
         column.addLayout(buttons)

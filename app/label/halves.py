@@ -36,6 +36,10 @@ class Halves(QWidget):
         self._bar.hide()
         self._buttons.idClicked.connect(lambda at: self.show_half(self._names[at]))
 
+    def heightForWidth(self, _width: int) -> int:
+        """Ask for no more than the least height: the views share what there is."""
+        return self.minimumHeight()
+
     def add(self, name: str, title: str, page: QWidget) -> None:
         """Add a half."""
         button = QPushButton(title)

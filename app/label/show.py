@@ -105,4 +105,4 @@ def model_words(edit: Edit, model: ModelLabel | None, *, hidden: bool) -> str:
     where = offset_in_words(model.fit.offset_mm, model.fit.sigma_mm)
     distance = apart(edit, model)
     far = "" if distance is None else f", {distance:.1f} sigma off"
-    return f"Model {model.weights_sha256[:8]}: {where}{far}. M takes it."
+    return f"Model {model.weights_sha256[:8]}: {where}{far} (M)"

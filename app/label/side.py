@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from PySide6.QtCore import Qt
 from PySide6.QtWidgets import (
     QButtonGroup,
-    QHBoxLayout,
     QLineEdit,
     QListWidget,
     QPushButton,
@@ -36,6 +36,8 @@ class SideTabs(Panel):
         self.agreement = label("", wrap=True)
         self.log, self.needle = QListWidget(), QLineEdit()
         self.log.setWordWrap(True)
+        self.log.setResizeMode(QListWidget.ResizeMode.Adjust)
+        self.log.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.log.setAccessibleName("Log of all actions")
         self.needle.setPlaceholderText("Search person, action, episode")
         self.needle.setAccessibleName("Search the log")
@@ -50,16 +52,12 @@ class SideTabs(Panel):
             self._stack.addWidget(page)
         self.column.addWidget(self._stack, 1)
         self._buttons = QButtonGroup(self)
-        row = QHBoxLayout()
-        row.setSpacing(4)
         for number, name in enumerate(TABS):
             button = QPushButton(name)
             button.setCheckable(True)
             button.setProperty("role", "tab")
             self._buttons.addButton(button, number)
-            row.addWidget(button)
-        row.addStretch(1)
-        self.column.insertLayout(0, row)
+            self.header.insertWidget(number, button)
         self._buttons.idClicked.connect(self.choose)
         self.choose(0)
         self._buttons.idClicked.connect(entered)

@@ -17,6 +17,7 @@ from backend.devices.jog import AXES, Axis, Frame, JogOrder, way_of
 from backend.devices.jog_limits import room_mm
 from backend.devices.protocols import Arm, Device, Gripper, GripStatus
 from backend.runs.hand import Hand
+from backend.runs.requests import SceneChoice, SetRequest
 from widgets.fault_cards import FaultCards, Question
 from widgets.jog_pad import PoseLook
 
@@ -37,7 +38,13 @@ class HandPresenter:
         self._link, self._page, self._cards, self._now_s = link, page, cards, now_s
         self._hold = self._sequence = 0
         self._drawn_s = float("-inf")
-        hand = link.hand
+        hand, shown = link.hand, link.catalogue
+        page.scene.setVisible(link.simulated)
+        page.scene.show_catalogue(
+            [(name, shown.piece(name).title) for name in shown.tops],
+            [(name, shown.piece(name).title) for name in shown.bottoms],
+            (SceneChoice().piece, SceneChoice().bottoms[0]),
+        )
         page.jog.show_joint_reason("" if hand is not None and hand.rotates else NO_JOINTS)
 
     # -- orders -----------------------------------------------------------------------------------
@@ -89,6 +96,11 @@ class HandPresenter:
         """Take the tactile references anew."""
         self._ordered(lambda hand: hand.take_references())
 
+    def set_scene(self, piece: str, bottom: str) -> None:
+        """Set the simulated bench anew; a held piece goes back to its place as well."""
+        request = SetRequest(SceneChoice(piece, (bottom,)))
+        self._ordered(lambda _hand: self._link.start(request))
+
     def _open_anyway(self) -> None:
         self._ordered(lambda hand: hand.open(confirmed=True))
 
@@ -114,6 +126,7 @@ class HandPresenter:
         why = self.why_not()
         self._page.jog.show_ready(not why, why)
         self._page.gripper.show_ready(not why)
+        self._page.scene.show_ready(not why)
         if why:
             self._page.jog.hold.end(why)
             self._page.jog.show_armed(False)

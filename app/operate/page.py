@@ -18,6 +18,7 @@ from widgets.gripper_panel import GripperPanel
 from widgets.jog_pad import JogPad
 from widgets.panel import Captioned, Panel
 from widgets.probe_panel import ProbePanel
+from widgets.scene_panel import ScenePanel
 from widgets.tactile_view import LOOKS, TactileView
 from widgets.theme import Theme, ui_font
 
@@ -40,6 +41,7 @@ class OperateIntents:
     baseline: Callable[[], None]
     span: Callable[[float], None]
     pause: Callable[[bool], None]
+    set_scene: Callable[[str, str], None]
 
 
 class OperatePage(QWidget):
@@ -67,6 +69,7 @@ class OperatePage(QWidget):
         self.jog = JogPad(steps_mm, intents.renew, intents.ended, intents.step, intents.arm_keys)
         self.gripper = GripperPanel(intents.grip, intents.open)
         self.probe = ProbePanel(theme, phases, intents.probe, intents.cancel)
+        self.scene = ScenePanel(intents.set_scene)
         self.looks = _chooser([text for _, text in LOOKS], "What the tactile views show")
         self.maps = _chooser(list(MAPS), "Colour map of the belief")
         self.span = _chooser([f"{span:.0f} s" for span in SPANS_S], "Length of the traces")
@@ -92,6 +95,7 @@ class OperatePage(QWidget):
             plot.show_age(Age.NEVER, 0.0, why)
         self.jog.show_ready(False, why)
         self.gripper.show_ready(False)
+        self.scene.show_ready(False)
         self.probe.show_buttons(probe=False, cancel=False, why=why)
 
     def heightForWidth(self, _width: int) -> int:
@@ -117,6 +121,7 @@ class OperatePage(QWidget):
         middle.addWidget(self.probe)
         right.addWidget(self.jog, 1)
         right.addWidget(self.gripper)
+        right.addWidget(self.scene)
         right.setContentsMargins(0, 0, 0, 0)
         self._right = QWidget()
         self._right.setLayout(right)

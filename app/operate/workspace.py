@@ -36,6 +36,7 @@ class OperateWorkspace(Workspace):
             renew=self._renew, ended=self._ended, step=self._step, arm_keys=self._arm_keys,
             grip=self._grip, open=self._open, probe=self._probe, cancel=self._cancel,
             zero=self._zero, baseline=self._baseline, span=self._span, pause=self._pause,
+            set_scene=self._set_scene,
         )  # fmt: skip
         self.page = OperatePage(desk.theme, intents, STEPS_MM, PHASES)
         self.keys = JogKeys(self.page, self.page.jog)
@@ -122,6 +123,7 @@ class OperateWorkspace(Workspace):
             Command("shorter", "Shorter step, down to hold-to-run", "[", lambda: jog.next_step(-1)),
             Command("longer", "Longer step", "]", lambda: jog.next_step(1)),
             Command("frame", "Jog in the other frame", "F", jog.next_frame),
+            Command("scene", "Set the simulated bench anew", "Ctrl+N", self.page.scene.ask),
             Command("freeze", "Hold the traces still", "Ctrl+P", self.page.pause.toggle),
             Command("fit", "Fit the force and moment ranges", "Ctrl+F", self.page.fit),
         )
@@ -164,6 +166,10 @@ class OperateWorkspace(Workspace):
     def _baseline(self) -> None:
         if self.hand is not None:
             self.hand.baseline()
+
+    def _set_scene(self, piece: str, bottom: str) -> None:
+        if self.hand is not None and self.page.scene.set.isEnabled():
+            self.hand.set_scene(piece, bottom)
 
     def _span(self, span_s: float) -> None:
         if self.live is not None:

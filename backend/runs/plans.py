@@ -5,7 +5,8 @@ from __future__ import annotations
 from backend.runs.collect import collect_run
 from backend.runs.host import RunHost
 from backend.runs.plan import Plan
-from backend.runs.requests import CollectRequest, ProbeRequest, Request
+from backend.runs.requests import CollectRequest, ProbeRequest, Request, SetRequest
+from backend.runs.set_scene import set_run
 from backend.runs.single_probe import probe_run
 from backend.runs.trials import stack_run
 
@@ -16,4 +17,6 @@ def plan_of(request: Request, host: RunHost) -> Plan[None]:
         return collect_run(host, request)
     if isinstance(request, ProbeRequest):
         return probe_run(host, request)
+    if isinstance(request, SetRequest):
+        return set_run(host, request)
     return stack_run(host, request)

@@ -62,6 +62,13 @@ class ProbeRequest:
 
 
 @dataclass(frozen=True, slots=True)
+class SetRequest:
+    """Set the simulated bench anew; nothing moves."""
+
+    choice: SceneChoice
+
+
+@dataclass(frozen=True, slots=True)
 class CollectRequest:
     """Collect ``count`` labelled probes of ``piece`` on ``bottom`` into the session's dataset.
 
@@ -91,7 +98,7 @@ class CollectRequest:
         )
 
 
-Request = StackRequest | ProbeRequest | CollectRequest
+Request = StackRequest | ProbeRequest | CollectRequest | SetRequest
 """Everything that a session can run; ``backend.runs.plans`` knows the plan of each."""
 
 

@@ -263,3 +263,20 @@ def test_a_refused_step_names_axis_and_way_left(desk):
     QTest.mousePress(page.jog.pads["+z"], Qt.MouseButton.LeftButton)
     assert not jog.active
     assert "+Z (XYZ): 3.0 mm left" in main.cards.card("LIMIT").text.what
+
+
+def test_the_bench_is_set_anew_with_another_piece(desk):
+    main, session = desk
+    page = main.workspaces["operate"].page
+    page.gripper.grip.click()
+    turn(main, session, 1.0)
+    page.scene.piece.setCurrentIndex(page.scene.piece.findData("barrel"))
+    page.scene.bottom.setCurrentIndex(page.scene.bottom.findData("circle25"))
+    main.actions.action("operate.scene").trigger()
+    turn(main, session, 0.3)
+    assert session._scene.stage.piece.name == "barrel"
+    assert not session.devices["gripper"].status().holding
+    assert "barrel above circle25" in main.window._message.text()
+    QTest.mousePress(page.jog.pads["+z"], Qt.MouseButton.LeftButton)
+    assert session.hand.jog.active, "the new scene has its own hand"
+    QTest.mouseRelease(page.jog.pads["+z"], Qt.MouseButton.LeftButton)

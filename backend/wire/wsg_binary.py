@@ -1,0 +1,293 @@
+"""Weiss WSG, binary protocol: ``AA AA AA | id | size | payload | crc``, little-endian.
+
+Widths are mm, speeds mm/s, accelerations mm/s²; every force is the sum over both fingers (N).
+Source: command set reference manual, firmware 2.2.0.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from backend.wire.checksums import crc_wsg
+from backend.wire.framing import FrameStream, Step, WireError, noise_until
+from backend.wire.wsg_words import Command, Status
+
+PORT = 1000
+PREAMBLE = b"\xaa\xaa\xaa"
+ACKNOWLEDGE_KEY = b"ack"
+LONGEST_LOOP, LONGEST_TAG = 256, 64
+
+_HEAD, _CRC = 6, 2
+_UNKNOWN_LONGEST = 64
+"""Payload of a command not in the tables; longer ones are taken for noise."""
+
+_TEXT: dict[int, int] = {
+    Command.LOOP: LONGEST_LOOP,
+    Command.SET_TAG: LONGEST_TAG,
+    Command.GET_TAG: LONGEST_TAG,
+}
+"""Commands whose content is bytes of any length up to this."""
+
+_UPDATE, _NOTHING = "<BH", "<"
+REQUESTS: dict[int, str] = {
+    **dict.fromkeys(Command, _NOTHING),
+    Command.HOME: "<B",
+    Command.PREPOSITION: "<Bff",
+    Command.ACKNOWLEDGE: "<3s",
+    Command.GRASP: "<ff",
+    Command.RELEASE: "<ff",
+    Command.SET_ACCELERATION: "<f",
+    Command.SET_FORCE_LIMIT: "<f",
+    Command.SET_SOFT_LIMITS: "<ff",
+    Command.OVERDRIVE: "<B",
+    Command.STATISTICS: "<B",
+    Command.SYSTEM_STATE: _UPDATE,
+    Command.GRASP_STATE: _UPDATE,
+    Command.WIDTH: _UPDATE,
+    Command.SPEED: _UPDATE,
+    Command.FORCE: _UPDATE,
+}
+"""Layout of the payload of each request."""
+
+REPLIES: dict[int, tuple[str, ...]] = {
+    **dict.fromkeys(Command, (_NOTHING,)),
+    Command.SET_ACCELERATION: (_NOTHING, "<f"),
+    Command.GET_ACCELERATION: ("<f",),
+    Command.GET_FORCE_LIMIT: ("<f",),
+    Command.GET_SOFT_LIMITS: ("<ff",),
+    Command.SYSTEM_STATE: ("<I",),
+    Command.GRASP_STATE: ("<B",),
+    Command.STATISTICS: ("<IHH",),
+    Command.WIDTH: ("<f",),
+    Command.SPEED: ("<f",),
+    Command.FORCE: ("<f",),
+    Command.TEMPERATURE: ("<h",),
+    Command.SYSTEM_INFO: ("<BBHI",),
+    Command.SYSTEM_LIMITS: ("<8f",),
+}
+"""Layouts of what follows status 0 in each reply; the manual prints 30h with a value."""
+
+Number: TypeAlias = float | int | bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A command; ``values`` as in ``REQUESTS``, or the bytes of a text or of an unknown command."""
+
+    command: int
+    values: tuple[Number, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A request that cannot be carried out as sent, and the status to answer with."""
+
+    command: int
+    status: Status
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """Answer, result or update; ``values`` only with status 0, temperature in degrees Celsius."""
+
+    command: int
+    status: int
+    values: tuple[Number, ...] = ()
+
+
+Incoming = Request | Refused
+
+
+def home(direction: int = 0) -> Request:
+    """Move to the end stop that sets the origin: 0 as configured, 1 open, 2 closed."""
+    return Request(Command.HOME, (direction,))
+
+
+def preposition(
+    width_mm: float, speed_mm_s: float, *, relative: bool = False, stop_on_block: bool = False
+) -> Request:
+    """Move the fingers; a block ends it in either mode, without ``stop_on_block`` pressing on."""
+    return Request(Command.PREPOSITION, (relative | stop_on_block << 1, width_mm, speed_mm_s))
+
+
+def grasp(width_mm: float, speed_mm_s: float) -> Request:
+    """Close on a part of this width."""
+    return Request(Command.GRASP, (width_mm, speed_mm_s))
+
+
+def release(width_mm: float, speed_mm_s: float) -> Request:
+    """Open to this width."""
+    return Request(Command.RELEASE, (width_mm, speed_mm_s))
+
+
+def acknowledge() -> Request:
+    """Acknowledge a fast stop or fault."""
+    return Request(Command.ACKNOWLEDGE, (ACKNOWLEDGE_KEY,))
+
+
+def set_force_limit(force_sum_n: float) -> Request:
+    """Set the force limit, the sum over both fingers."""
+    return Request(Command.SET_FORCE_LIMIT, (force_sum_n,))
+
+
+def set_acceleration(acceleration_mm_s2: float) -> Request:
+    """Set the acceleration of all motions."""
+    return Request(Command.SET_ACCELERATION, (acceleration_mm_s2,))
+
+
+def update(command: Command, period_ms: int = 0, *, on_change: bool = False) -> Request:
+    """Ask for a reading once (period 0), or again and again; ``on_change`` only when it differs."""
+    return Request(command, ((period_ms > 0) | on_change << 1, period_ms))
+
+
+def encode_request(request: Request) -> bytes:
+    """Return the frame; raises ``WireError`` if a value does not fit or is no number."""
+    layout = REQUESTS.get(request.command)
+    if layout is None or (request.command in _TEXT and request.values):
+        return _frame(request.command, _only_bytes(request.values, request.command))
+    return _frame(request.command, _pack(layout, request.values))
+
+
+def encode_reply(reply: Reply) -> bytes:
+    """Return the frame."""
+    if not 0 <= reply.status <= 0xFFFF:
+        raise WireError("range", "wsg status", _HEAD)
+    values = reply.values
+    if reply.command == Command.TEMPERATURE and values:
+        values = (round(float(values[0]) * 10),)
+    if reply.command in _TEXT and reply.command != Command.SET_TAG and values:
+        content = _only_bytes(values, reply.command)
+    elif reply.status != Status.SUCCESS or not values:
+        content = _pack(_NOTHING, values)
+    else:
+        content = _pack(REPLIES.get(reply.command, (_NOTHING,))[-1], values)
+    return _frame(reply.command, struct.pack("<H", reply.status) + content)
+
+
+def requests() -> FrameStream[Incoming]:
+    """Return the decoder of a gripper; what it cannot carry out comes out as ``Refused``."""
+    return FrameStream(_take_request)
+
+
+def replies() -> FrameStream[Reply]:
+    """Return the decoder of whoever drives a gripper."""
+    return FrameStream(_take_reply)
+
+
+def decode_reply(frame: bytes) -> Reply:
+    """Return the reply of one whole frame; raises ``WireError``."""
+    size = _size(frame, 0)
+    if size == 0 or size is None or len(frame) != size:
+        raise WireError("length", "wsg frame", len(frame))
+    return _reply(frame[3], _payload(frame))
+
+
+def _frame(command: int, payload: bytes) -> bytes:
+    if not 0 <= command <= 0xFF:
+        raise WireError("command", "wsg frame", 3)
+    body = PREAMBLE + struct.pack("<BH", command, len(payload)) + payload
+    return body + struct.pack("<H", crc_wsg(body))
+
+
+def _pack(layout: str, values: tuple[Number, ...]) -> bytes:
+    if not all(isinstance(value, bytes) or math.isfinite(value) for value in values):
+        raise WireError("number", "wsg payload", _HEAD)
+    try:
+        return struct.pack(layout, *values)
+    except (struct.error, OverflowError) as error:
+        raise WireError("range", "wsg payload", _HEAD) from error
+
+
+def _only_bytes(values: tuple[Number, ...], command: int) -> bytes:
+    content = values[0] if len(values) == 1 else b"" if not values else None
+    if not isinstance(content, bytes) or len(content) > _TEXT.get(command, _UNKNOWN_LONGEST):
+        raise WireError("range", "wsg payload", _HEAD)
+    return content
+
+
+def _size(data: bytes, at: int) -> int | None:
+    """Return how long the frame at ``at`` is; 0 if none starts there, None if not known yet."""
+    head = data[at : at + _HEAD]
+    if not (head.startswith(PREAMBLE) or PREAMBLE.startswith(head)):
+        return 0
+    if len(head) < _HEAD:
+        return None
+    longest = _TEXT.get(head[3], _UNKNOWN_LONGEST) + 2
+    size = int.from_bytes(head[4:6], "little")
+    return _HEAD + size + _CRC if size <= longest else 0
+
+
+def _payload(frame: bytes) -> bytes:
+    if crc_wsg(frame):
+        raise WireError("crc", "wsg frame", len(frame) - _CRC)
+    return frame[_HEAD:-_CRC]
+
+
+def _values(layout: str, content: bytes) -> tuple[Number, ...]:
+    if struct.calcsize(layout) != len(content):
+        raise WireError("size", "wsg payload", _HEAD)
+    values = struct.unpack(layout, content)
+    if not all(isinstance(value, bytes) or math.isfinite(value) for value in values):
+        raise WireError("number", "wsg payload", _HEAD)
+    return values
+
+
+def _reply(command: int, payload: bytes) -> Reply:
+    if len(payload) < 2:
+        raise WireError("size", "wsg reply", 4)
+    status, content = int.from_bytes(payload[:2], "little"), payload[2:]
+    if status != Status.SUCCESS or not content:
+        layouts = REPLIES.get(command, (_NOTHING,))
+        needed = status == Status.SUCCESS and command not in _TEXT and _NOTHING not in layouts
+        if content or needed:
+            raise WireError("size", "wsg reply", _HEAD + 2)
+        return Reply(command, status)
+    if command in (Command.LOOP, Command.GET_TAG):
+        return Reply(command, status, (content,))
+    values = _values(REPLIES.get(command, (_NOTHING,))[-1], content)
+    if command == Command.TEMPERATURE:
+        values = (float(values[0]) / 10,)
+    return Reply(command, status, values)
+
+
+def _take_reply(data: bytes, at: int) -> Step[Reply] | None:
+    size = _size(data, at)
+    if size == 0:
+        return noise_until(data, at, PREAMBLE[:1])
+    if size is None or at + size > len(data):
+        return None
+    frame = data[at : at + size]
+    try:
+        return Step(size, _reply(frame[3], _payload(frame)))
+    except WireError:
+        return Step(1, refused=True)
+
+
+def _take_request(data: bytes, at: int) -> Step[Incoming] | None:
+    size = _size(data, at)
+    if size == 0:
+        return noise_until(data, at, PREAMBLE[:1])
+    if size is None or at + size > len(data):
+        return None
+    frame = data[at : at + size]
+    command = frame[3]
+    try:
+        payload = _payload(frame)
+    except WireError:
+        return Step(size, Refused(command, Status.CHECKSUM_ERROR), refused=True)
+    return Step(size, _request(command, payload))
+
+
+def _request(command: int, payload: bytes) -> Incoming:
+    layout = REQUESTS.get(command)
+    if layout is None or command in (Command.LOOP, Command.SET_TAG):
+        return Request(command, (payload,) if payload else ())
+    if payload and layout == _NOTHING:
+        return Refused(command, Status.NO_PARAM_EXPECTED)
+    try:
+        return Request(command, _values(layout, payload))
+    except WireError:
+        return Refused(command, Status.CMD_FORMAT_ERROR)

@@ -18,7 +18,7 @@ from backend.catalogue.journal import read_journal
 from backend.catalogue.operations import read_operations, store
 from backend.catalogue.values import Operation
 
-TAIL = 2000
+TAIL = 500
 """At a start the newest operations of a chain are checked, by ``verify`` all of them."""
 
 Place = tuple[int, str]

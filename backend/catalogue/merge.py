@@ -89,10 +89,8 @@ def take_rows(
             values[state] = "complete" if values[state] == "missing" else values[state]
         sql = f"INSERT OR IGNORE INTO episode ({names}) VALUES ({marks})"  # noqa: S608
         count += connection.execute(sql, values).rowcount
-    for table in ("series", "geometry"):
-        for row in theirs.rows(f"SELECT * FROM {table}"):  # noqa: S608
-            places = ", ".join("?" * len(row))
-            connection.execute(f"INSERT OR IGNORE INTO {table} VALUES ({places})", row)  # noqa: S608
+    for row in theirs.rows("SELECT * FROM series"):
+        connection.execute("INSERT OR IGNORE INTO series VALUES (?, ?, ?, ?, ?, ?)", row)
     return count
 
 

@@ -32,9 +32,6 @@ CREATE INDEX episode_series ON episode (series, uuid);
 CREATE INDEX episode_campaign ON episode (campaign, plan_item);
 CREATE INDEX episode_path ON episode (path);
 CREATE INDEX episode_sha256 ON episode (sha256);
-CREATE TABLE geometry (
-    sha256 TEXT PRIMARY KEY, kind TEXT NOT NULL, name TEXT NOT NULL
-) WITHOUT ROWID;
 CREATE TABLE op (
     op_uuid TEXT PRIMARY KEY, site TEXT NOT NULL, seq INTEGER NOT NULL, lamport INTEGER NOT NULL,
     at_ns INTEGER NOT NULL, actor TEXT NOT NULL, verb TEXT NOT NULL, target_op TEXT,
@@ -91,9 +88,6 @@ CREATE TABLE suggestion (
     episode TEXT PRIMARY KEY, x_um INTEGER NOT NULL, y_um INTEGER NOT NULL,
     theta_mdeg INTEGER, sigma_um INTEGER NOT NULL, model TEXT NOT NULL, at_ns INTEGER NOT NULL
 ) WITHOUT ROWID;
-CREATE TABLE schema_migration (
-    old INTEGER NOT NULL, new INTEGER NOT NULL, at_ns INTEGER NOT NULL, program TEXT NOT NULL
-);
 """
 
 KEYS = {

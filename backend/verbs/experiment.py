@@ -73,6 +73,8 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     jobs = part = recipe.jobs()
     if args.shard:
         part = startable(jobs, shard_of(jobs, *parse_shard(args.shard)), store)
+    else:
+        store.sweep()
     effort = sum(map(recipe.effort, part))
     failed: list[str] = []
     done = 0

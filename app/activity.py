@@ -26,3 +26,14 @@ def moving(link: Link) -> bool:
     arm = link.devices.get("arm")
     mode = getattr(arm, "status", None)
     return mode is not None and mode().robot_mode is RobotMode.MOVING
+
+
+def unattended(link: Link) -> str:
+    """Return what would be left alone if the window closed now, "" for nothing."""
+    if busy(link):
+        return "A run is active and a piece may be held."
+    if link.hand is None:
+        return ""
+    if link.hand.active:
+        return "The bench is being moved by hand."
+    return "A piece is held." if link.hand.holding else ""

@@ -12,7 +12,7 @@ from PySide6.QtGui import QIcon
 from PySide6.QtWidgets import QApplication
 
 from app.actions import Actions
-from app.activity import busy, moving
+from app.activity import moving, unattended
 from app.appearance import Appearance
 from app.arrival import Arrival, failed_card
 from app.cards import card_of, refusal_card
@@ -163,11 +163,12 @@ class TouchdownApp(QObject):
         return dropped
 
     def _may_close(self) -> bool:
-        if self._closing_allowed or self.link is None or not busy(self.link):
+        left = "" if self.link is None else unattended(self.link)
+        if self._closing_allowed or not left:
             return True
         self.cards.ask(
             Question(
-                "A run is active and a piece may be held. Stop and close?",
+                f"{left} Stop and close? The grip is kept.",
                 (("Keep running", _stay), ("Stop and close", self._stop_and_close)),
             )
         )

@@ -54,6 +54,11 @@ class Hand:
         return self.jog.active or self._gripping
 
     @property
+    def holding(self) -> bool:
+        """Whether a piece is held."""
+        return self._reach.gripper.status().holding
+
+    @property
     def rotates(self) -> bool:
         """Whether the hand can turn and single joints can be driven."""
         return self._reach.arm.rotates
@@ -142,8 +147,9 @@ class Hand:
 
     def _recover(self) -> None:
         """End the recovery once the wrist is free of contact."""
-        free = abs(self._around.press_n()) <= self._interlock.limits.contact_n
-        if self._interlock.recovering and free:
+        if not self._interlock.recovering:
+            return
+        if abs(self._around.press_n()) <= self._interlock.limits.contact_n:
             self._interlock.recovering = False
 
     def _refused(self, error: RefusedError) -> None:

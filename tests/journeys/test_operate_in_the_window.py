@@ -5,7 +5,7 @@ import pytest
 from PySide6.QtCore import QEvent, Qt
 from PySide6.QtGui import QKeyEvent
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication, QMessageBox
+from PySide6.QtWidgets import QApplication, QMessageBox, QPushButton
 
 from app.application import TouchdownApp
 from app.error_hooks import ErrorBox
@@ -280,3 +280,33 @@ def test_the_bench_is_set_anew_with_another_piece(desk):
     QTest.mousePress(page.jog.pads["+z"], Qt.MouseButton.LeftButton)
     assert session.hand.jog.active, "the new scene has its own hand"
     QTest.mouseRelease(page.jog.pads["+z"], Qt.MouseButton.LeftButton)
+
+
+def test_closing_asks_while_a_piece_is_held(desk):
+    main, session = desk
+    main.workspaces["operate"].page.gripper.grip.click()
+    turn(main, session, 1.0)
+    main.window.close()
+    assert main.window.isVisible()
+    answers = {b.text(): b for b in main.cards.findChildren(QPushButton)}
+    answers["Stop and close"].click()
+    assert not main.window.isVisible()
+    assert session.devices["gripper"].status().holding, "closing never opens the gripper"
+
+
+def test_another_length_of_the_traces_shows_what_the_stream_still_holds(desk):
+    main, session = desk
+    turn(main, session, 2.0)
+    page = main.workspaces["operate"].page
+    page.span.setCurrentIndex(2)
+    age_s, low, _ = page.force.buckets.ordered()
+    assert age_s[0] == pytest.approx(-60.0, abs=0.2)
+    shown_s = np.isfinite(low[:, 2]).sum() * 60.0 / len(age_s)
+    assert shown_s == pytest.approx(session.clock_s(), abs=0.4)
+    page.pause.click()
+    before = page.force.buckets.last.copy()
+    turn(main, session, 0.3)
+    assert np.array_equal(page.force.buckets.last, before)
+    page.pause.click()
+    turn(main, session, 0.1)
+    assert not np.array_equal(page.force.buckets.last, before)

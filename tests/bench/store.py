@@ -30,16 +30,17 @@ def catalogue_of_100_000() -> list[Figure]:
             uuids = fill(dataset, EPISODES, APPROVED, batch=1)
             make_files(dataset)
         Dataset.open(folder).close()
-        begin = time.perf_counter()
+        begin, begin_cpu = time.perf_counter(), time.process_time()
         dataset = Dataset.open(folder)
-        open_s = time.perf_counter() - begin
+        open_s, cpu_s = time.perf_counter() - begin, time.process_time() - begin_cpu
         with dataset:
-            return [_opening(dataset, open_s), *_picking(dataset), *_committing(dataset, uuids)]
+            opening = _opening(dataset, open_s, cpu_s)
+            return [opening, *_picking(dataset), *_committing(dataset, uuids)]
 
 
-def _opening(dataset: Dataset, open_s: float) -> Figure:
+def _opening(dataset: Dataset, open_s: float, cpu_s: float) -> Figure:
     size = (dataset.folder / "catalog.db").stat().st_size / 1e6
-    note = f"{size:.0f} MB, reconciled with its files; {len(dataset.notices)} notices"
+    note = f"{cpu_s:.2f} s of processor; {size:.0f} MB; {len(dataset.notices)} notices"
     ok = open_s <= OPEN_S and not dataset.notices
     return Figure("catalogue of 100,000 episodes, open", open_s, "s", f"<= {OPEN_S:g}", ok, note)
 

@@ -23,9 +23,10 @@ from backend.objects.catalogue import Catalogue, Piece, load_catalogue
 from backend.objects.starts import draw_start
 from backend.objects.tower import Tower, judge
 from backend.placement.estimator import Estimator
-from backend.runs.bench import Estimate, NoModel, ReleaseVerdict
+from backend.runs.bench import Estimate, NoModel, ReleaseVerdict, SceneView
 from backend.runs.requests import SceneChoice
 from backend.runs.stage import Stage
+from backend.sensing.board import calibrate
 from backend.sensing.live import RawStreams
 from backend.sensing.tare import gripper_payload
 from backend.session import Keep, Session
@@ -199,6 +200,11 @@ def _collecting(
     )
 
 
+def _scene_view(bench: SimulatedBench) -> SceneView:
+    """Return the scene camera, calibrated by a picture of the bench with the piece in its jig."""
+    return SceneView(bench.scene_picture, calibrate(bench.scene_picture()))
+
+
 def simulated_session(
     choice: SimulatedBenchChoice | None = None,
     *,
@@ -243,6 +249,7 @@ def simulated_session(
             payload=gripper_payload(settings.wrist.payload_kg, settings.wrist.payload_com_mm),
             outline=scene.surface,
             jig=Pose(*start_command_mm(scene).tolist()) if scene.jig else None,
+            scene_view=_scene_view(bench) if scene.jig else None,
         )
 
     def check(choice: SceneChoice) -> Mapping[str, object]:

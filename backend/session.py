@@ -259,6 +259,10 @@ class Session:
             return "lab"
         return "stepped" if self._thread is None else "live simulation"
 
+    def _wall_s(self) -> float:
+        """Return the clock of whoever holds a button: the wall's while live, else the bench's."""
+        return self.clock_s() if self._thread is None else time.monotonic()
+
     def _present(self, method: StackSettings) -> Bench:
         if self._scene is None:
             raise RefusedError("NO-SCENE", "Nothing is set up on the bench yet.")
@@ -287,6 +291,7 @@ class Session:
             probe_count=lambda: self.engine.status().probe,
             outline=stage.outline,
             jig=stage.jig,
+            scene_view=stage.scene_view,
         )
 
     def _set_scene(self, choice: SceneChoice) -> _Scene:
@@ -309,7 +314,9 @@ class Session:
 
         arm = GuardedArm(stage.arm, self.interlock, now_s, press_n)
         gripper = GuardedGripper(stage.gripper, self.interlock, now_s)
-        around = Around(now_s, press_n, lambda: _surface_mm(stage.piece), lambda: self.engine.busy)
+        around = Around(
+            now_s, self._wall_s, press_n, lambda: _surface_mm(stage.piece), lambda: self.engine.busy
+        )
         hand = Hand(Reach(arm, gripper, sensing), self.interlock, around, self.hub.publish)
         self._scene = scene = _Scene(stage, sensing, arm, gripper, hand)
         self._supervision.begin(now_s())

@@ -93,12 +93,24 @@ class MarkerField:
 
 
 @dataclass(frozen=True, slots=True)
+class ScenePicture:
+    """What the scene camera saw at ``t_s`` (bench clock). ``image``: (h, w, 3) uint8, BGR."""
+
+    t_s: float
+    image: ImageArray
+
+    def __post_init__(self) -> None:
+        read_only(self.image)
+
+
+@dataclass(frozen=True, slots=True)
 class Recording:
     """Native-rate signals of one probe, as they were sensed.
 
     ``wrench_t_s`` (n,), ``wrench`` (n, 6) in N and N·m, tared; ``fields`` and ``frames`` of both
     fingers in order of time; ``pose_t_s`` (m,), ``pose_mm`` (m, 3) of ``G``, measured;
-    ``tare`` (6,) was subtracted.
+    ``tare`` (6,) was subtracted. ``scene``: pictures of the scene camera, where there is one: while
+    pressed, then after lifting.
     """
 
     wrench_t_s: FloatArray
@@ -108,6 +120,7 @@ class Recording:
     pose_t_s: FloatArray
     pose_mm: FloatArray
     tare: FloatArray
+    scene: tuple[ScenePicture, ...] = ()
 
     def __post_init__(self) -> None:
         for array in (self.wrench_t_s, self.wrench, self.pose_t_s, self.pose_mm, self.tare):

@@ -42,6 +42,7 @@ IMAGE = {
     "left": Topic("/tac/left/image", "sensor_msgs/msg/CompressedImage", "tac_left"),
     "right": Topic("/tac/right/image", "sensor_msgs/msg/CompressedImage", "tac_right"),
 }
+SCENE = Topic("/scene/image", "sensor_msgs/msg/CompressedImage", "scene")
 MARKER = {
     "left": Topic("/tac/left/markers", "lab_msgs/msg/MarkerField", "tac_left"),
     "right": Topic("/tac/right/markers", "lab_msgs/msg/MarkerField", "tac_right"),

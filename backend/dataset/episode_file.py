@@ -11,7 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from backend.config.method import TICK_S
-from backend.core.flow import FINGERS, Episode, Finger, MarkerField, Recording, TactileFrame
+from backend.core.flow import (
+    FINGERS,
+    Episode,
+    Finger,
+    MarkerField,
+    Recording,
+    ScenePicture,
+    TactileFrame,
+)
 from backend.dataset.channels import (
     EVENT,
     IMAGE,
@@ -19,6 +27,7 @@ from backend.dataset.channels import (
     MARKER,
     OBS,
     POSE,
+    SCENE,
     WRENCH,
     MarkerRows,
     Times,
@@ -57,7 +66,8 @@ def write_episode(
     and wrench are kept bit for bit, images as ``keep_frames`` says. Raises ``OSError`` if the disk
     refuses; the caller still holds the episode.
     """
-    with McapWriter(path, TOPICS) as writer:
+    scene = () if episode.recording is None else episode.recording.scene
+    with McapWriter(path, (*TOPICS, SCENE) if scene else TOPICS) as writer:
         for name, values in _metadata(episode, metadata, keep_frames).items():
             writer.add_metadata(name, values)
         blocks = [_observation(writer, episode), *_notes(writer, episode, label)]
@@ -66,6 +76,7 @@ def write_episode(
         writer.add_chunk(blocks, compress=True)
         if episode.recording is not None and keep_frames != "none":
             images = _images(writer, episode.recording.frames, keep_frames)
+            images += _scene(writer, scene, keep_frames)
             if images:
                 writer.add_chunk(images, compress=False)
         counts = writer.finish()
@@ -144,6 +155,18 @@ def _markers(writer: McapWriter, finger: Finger, fields: Sequence[MarkerField]) 
     rows = pack_markers(stamps, markers, topic.frame_id)
     sequence = np.array([field.sequence for field in fields], dtype=np.int64)
     return message_rows(writer.channel[topic.name], stamps, sequence, rows)
+
+
+def _scene(writer: McapWriter, pictures: Sequence[ScenePicture], keep: KeepFrames) -> list[Block]:
+    if not pictures:
+        return []
+    stamps = to_ns([picture.t_s for picture in pictures]).tolist()
+    messages = (
+        pack_image(stamp, SCENE.frame_id, ENCODING[keep], encode(picture.image, keep))
+        for stamp, picture in zip(stamps, pictures, strict=True)
+    )
+    channel = writer.channel[SCENE.name]
+    return [message_list(channel, stamps, range(len(stamps)), messages)]
 
 
 def _images(writer: McapWriter, frames: Sequence[TactileFrame], keep: KeepFrames) -> list[Block]:

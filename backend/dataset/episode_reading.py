@@ -19,9 +19,20 @@ from backend.core.flow import (
     FloatArray,
     MarkerField,
     Recording,
+    ScenePicture,
     TactileFrame,
 )
-from backend.dataset.channels import IMAGE, LABEL, MARKER, OBS, POSE, WRENCH, Times, unpack_json
+from backend.dataset.channels import (
+    IMAGE,
+    LABEL,
+    MARKER,
+    OBS,
+    POSE,
+    SCENE,
+    WRENCH,
+    Times,
+    unpack_json,
+)
 from backend.dataset.contents import FIX, Contents, explained, read_whole
 from backend.dataset.pictures import decode
 from backend.dataset.unpacking import (
@@ -93,6 +104,7 @@ def _recording(contents: Contents) -> Recording:
         frames=tuple(sorted(frames, key=lambda frame: frame.t_s)),
         pose_t_s=to_s(stamps_ns(pose)),
         pose_mm=unpack_pose_mm(pose),
+        scene=tuple(_scene(contents)),
         tare=np.array(tare, dtype=np.float64).reshape(WRENCH_CHANNELS),
     )
 
@@ -113,6 +125,15 @@ def _fields(contents: Contents, finger: Finger) -> list[MarkerField]:
             float(rows.residual_px[i]),
         )
         for i in range(len(messages))
+    ]
+
+
+def _scene(contents: Contents) -> list[ScenePicture]:
+    messages = contents.messages.get(SCENE.name, [])
+    t_s = to_s(stamps_ns(messages))
+    return [
+        ScenePicture(float(t_s[i]), decode(unpack_image(message)[1]))
+        for i, message in enumerate(messages)
     ]
 
 

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from backend.config.method import StackSettings
 from backend.core.faults import InputError
-from backend.core.flow import ContactPatch, Episode, Fall, Pose
+from backend.core.flow import ContactPatch, Episode, Fall, ImageArray, Pose
 from backend.devices.guarded import GuardedArm, GuardedGripper
 from backend.devices.interlock import Interlock
 from backend.objects.catalogue import Piece
 from backend.objects.shapes import Outline
 from backend.runs.gate import Gate
+from backend.sensing.board import Homography
 from backend.sensing.live import LiveSensing
 
 
@@ -58,6 +59,14 @@ class EpisodeStore(Protocol):
 
     def settle(self) -> Path | None:
         """Wait for the last write; return the path of its file, None if files are not kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class SceneView:
+    """The scene camera: ``picture`` (h, w, 3) of the bench now, and where the board is in it."""
+
+    picture: Callable[[], ImageArray]
+    homography: Homography
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,3 +120,4 @@ class Bench:
     probe_count: Callable[[], int]
     outline: Outline
     jig: Pose | None
+    scene_view: SceneView | None = None

@@ -19,7 +19,7 @@ from backend.core.facts import (
     Said,
 )
 from backend.core.faults import RefusedError
-from backend.core.flow import Pose
+from backend.core.flow import Episode, Pose
 from backend.dataset.coverage import Coverage
 from backend.runs import words
 from backend.runs.bench import Bench
@@ -38,7 +38,7 @@ from backend.runs.judged import Felt
 from backend.runs.motions import MOVE_S, lift
 from backend.runs.origin_check import check_origin
 from backend.runs.plan import Checkpoint, Plan, Waiting, motion_done
-from backend.runs.probe import press_once
+from backend.runs.probe import press_once, scene_pictures
 from backend.sensing.episode import EpisodeLimits
 
 OPERATOR_S = 24 * 3600.0
@@ -189,6 +189,7 @@ class Collector:
         felt = yield from press_once(bench, self._probes, np.array(wanted_mm))
         where = measured(felt.episode, origin, bench.settings.collect)
         yield from lift(bench, self._probes)
+        felt = replace(felt, episode=_with_outcome(felt.episode, bench))
         drift_mm = 0.0 if first_mm is None else abs(where.contact_mm - first_mm)
         return _Taken(felt, item, where, drift_mm)
 
@@ -248,6 +249,14 @@ class Collector:
             self.todo.appendleft(item)
         else:
             self.campaign = self.campaign.without(item)
+
+
+def _with_outcome(episode: Episode, bench: Bench) -> Episode:
+    """Return the episode with one more picture of the scene: after lifting."""
+    if episode.recording is None:
+        return episode
+    scene = (*episode.recording.scene, *scene_pictures(bench))
+    return replace(episode, recording=replace(episode.recording, scene=scene))
 
 
 def _pair(place: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> tuple[float, float]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from backend.config.method import EARLY_TICKS, SAMPLES_PER_PROBE, TICK_S
 from backend.core.facts import PhaseEntered, Said
 from backend.core.faults import Fault, FaultError
-from backend.core.flow import FloatArray
+from backend.core.flow import FloatArray, ScenePicture
 from backend.devices.protocols import PressCommand
 from backend.runs import words
 from backend.runs.bench import Bench
@@ -67,18 +69,32 @@ def press_once(bench: Bench, probe: int, offset_mm: FloatArray | None = None) ->
         )
     yield PhaseEntered(bench.now_s(), "hold", probe)
     end_s = onset_s + SAMPLES_PER_PROBE * TICK_S + AFTER_LAST_TICK_S
+    scene = scene_pictures(bench)
     yield Waiting(lambda: bench.now_s() >= end_s - EARLY_S, 5.0, "the last ticks")
     so_far = bench.sensing.recording(onset_s - BEFORE_ONSET_S, bench.now_s())
     bench.estimator.prepare(synchronise(so_far, onset_s).observation()[:EARLY_TICKS])
     yield Waiting(lambda: bench.now_s() >= end_s, 5.0, "the last frames")
     sampled_s = bench.wall_s()
     episode = assemble(
-        bench.sensing.recording(onset_s - BEFORE_ONSET_S, end_s),
+        replace(bench.sensing.recording(onset_s - BEFORE_ONSET_S, end_s), scene=scene),
         onset_s=onset_s,
         offset_mm=np.array([here.x_mm, here.y_mm]) if offset_mm is None else offset_mm,
         piece=bench.piece.name,
+        metadata=_calibration(bench),
     )
     return Felt(episode, probe, end_s, sampled_s)
+
+
+def scene_pictures(bench: Bench) -> tuple[ScenePicture, ...]:
+    """Return a picture of the bench as it is now, none without a scene camera."""
+    if bench.scene_view is None:
+        return ()
+    return (ScenePicture(bench.now_s(), bench.scene_view.picture()),)
+
+
+def _calibration(bench: Bench) -> tuple[tuple[str, str], ...]:
+    view = bench.scene_view
+    return () if view is None else (("scene_homography", view.homography.text()),)
 
 
 def probe_until_accepted(bench: Bench, probe: int, tries: int = 2) -> Plan[Felt]:

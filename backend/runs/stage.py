@@ -10,7 +10,7 @@ from backend.core.flow import FloatArray, Pose
 from backend.devices.protocols import Arm, Device, Gripper
 from backend.objects.catalogue import Piece
 from backend.objects.shapes import Outline
-from backend.runs.bench import Estimate, Scoring
+from backend.runs.bench import Estimate, SceneView, Scoring
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,3 +34,4 @@ class Stage:
     payload: FloatArray
     outline: Outline
     jig: Pose | None = None
+    scene_view: SceneView | None = None

@@ -10,7 +10,7 @@ import numpy as np
 
 from backend.config.simulation import SimulationSettings
 from backend.core.clock import HandClock
-from backend.core.flow import FINGERS, Finger, FloatArray, TactileFrame
+from backend.core.flow import FINGERS, Finger, FloatArray, ImageArray, TactileFrame
 from backend.core.stream import SampleStream, Stream
 from backend.devices.protocols import Device, DeviceState
 from backend.devices.sim.arm import SimArm
@@ -19,6 +19,7 @@ from backend.devices.sim.gripper import SimGripper
 from backend.devices.sim.tactile import SimTactile
 from backend.simulation.disturbances import Script
 from backend.simulation.scene import Scene
+from backend.simulation.scene_camera import picture
 from backend.simulation.scoring import Truth
 from backend.simulation.world import Sensed, World
 
@@ -108,6 +109,14 @@ class SimulatedBench:
     def truth(self, *, animate: bool = False) -> Truth:
         """Return how things really are; ``animate`` adds the motion of a fall where possible."""
         return self._world.truth(animate=animate)
+
+    def scene_picture(self) -> ImageArray:
+        """Return what a camera beside the bench sees now: (h, w, 3) BGR."""
+        truth, holding = self._world.truth(), self._world.holding
+        height_mm = self.scene.start_height_mm
+        if holding is not None:
+            height_mm = holding.gap_mm(self._world.drive.command_mm)
+        return picture(self.scene, truth.offset_mm, truth.yaw_rad, height_mm)
 
     def _deliver(self, sensed: Sensed) -> None:
         t_s = sensed.end_us * 1e-6

@@ -23,6 +23,7 @@ from backend.core.faults import Fault, FaultError, InputError, RefusedError
 from backend.runs import jig
 from backend.runs.campaign import newest_campaign, read_campaign
 from backend.runs.requests import CollectRequest
+from backend.sensing.board import Homography
 from backend.session import Keep
 
 pytestmark = pytest.mark.slow
@@ -115,6 +116,23 @@ def test_the_label_is_measured_and_the_command_is_kept_apart(whole) -> None:
         np.testing.assert_allclose(episode.offset_mm, label.offset_mm, atol=0.05)
         assert episode.recording is not None
         assert len(episode.recording.frames) > 90
+
+
+def test_the_scene_camera_shows_contact_and_outcome(whole) -> None:
+    entry = whole.entries[0]
+    episode = whole.dataset.read(entry.uuid)
+    pressed, lifted = episode.recording.scene
+    assert pressed.t_s < lifted.t_s
+    board = Homography.parse(dict(episode.metadata)["scene_homography"])
+    changed = np.abs(pressed.image.astype(int) - lifted.image.astype(int)).sum(axis=2) > 60
+    # What moved is the piece; the near edge of its face lies where label and homography say.
+    ring = episode.offset_mm + 7.5 * np.array(
+        [[np.cos(a), np.sin(a)] for a in np.arange(0, 6.3, 0.1)]
+    )
+    near = board.to_px(ring)
+    rows, columns = np.nonzero(changed)
+    assert abs(rows.max() - near[:, 1].max()) <= 3
+    assert abs(np.mean(columns[rows > rows.max() - 6]) - near[near[:, 1].argmax(), 0]) <= 4
 
 
 def test_a_restarted_campaign_collects_only_what_is_missing(tmp_path) -> None:

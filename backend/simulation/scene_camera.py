@@ -1,0 +1,110 @@
+"""The picture of a camera beside the bench: board with dots, tower, and the piece above it.
+
+A pinhole without distortion; bodies are drawn as prisms, fingers and arm are left out.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from backend.core.flow import FloatArray, ImageArray
+from backend.objects.board import DOT_RADIUS_MM, DOTS_MM
+from backend.objects.shapes import Outline, turned
+from backend.simulation.scene import Scene
+
+WIDTH_PX, HEIGHT_PX, FOCAL_PX = 640, 480, 760.0
+EYE_MM = np.array([-70.0, -130.0, 150.0])
+LOOKS_AT_MM = np.array([0.0, 0.0, 4.0])
+BOARD_MM = 60.0
+TABLE, BOARD, DOT = (60, 56, 52), (148, 152, 150), (255, 0, 255)
+BOTTOM, PIECE = (96, 120, 178), (168, 132, 84)
+SHADE = 0.72
+FRACTION_BITS = 4
+"""Corners are drawn to 1/16 px."""
+
+
+def camera_matrix() -> FloatArray:
+    """Return the (3, 4) projection of bench mm to px."""
+    ahead = LOOKS_AT_MM - EYE_MM
+    ahead = ahead / np.linalg.norm(ahead)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right = right / np.linalg.norm(right)
+    turn = np.stack([right, np.cross(ahead, right), ahead])
+    inner = np.array(
+        [[FOCAL_PX, 0.0, 0.5 * WIDTH_PX], [0.0, FOCAL_PX, 0.5 * HEIGHT_PX], [0.0, 0.0, 1.0]]
+    )
+    return np.asarray(inner @ np.column_stack([turn, -turn @ EYE_MM]))
+
+
+def picture(
+    scene: Scene, offset_mm: tuple[float, float], yaw_rad: float, height_mm: float
+) -> ImageArray:
+    """Return (480, 640, 3) BGR with the face of the piece at ``offset_mm``, ``height_mm`` up."""
+    image = np.full((HEIGHT_PX, WIDTH_PX, 3), TABLE, dtype=np.uint8)
+    _board(image)
+    top = scene.bottoms.bodies[-1]
+    base_mm = 0.0
+    for body in reversed(scene.bottoms.bodies):
+        base_mm -= body.height_mm
+    for body in scene.bottoms.bodies:
+        at_mm = (body.at_mm[0] - top.at_mm[0], body.at_mm[1] - top.at_mm[1])
+        upper = body.upper or body.lower
+        if body.fixed:
+            # A face printed on the board itself: its body lies below.
+            _fill(image, _placed(upper, at_mm, 0.0), 0.0, BOTTOM)
+            continue
+        _prism(image, (_placed(body.lower, at_mm, 0.0), base_mm),
+               (_placed(upper, at_mm, 0.0), base_mm + body.height_mm), BOTTOM)  # fmt: skip
+        base_mm += body.height_mm
+    piece = scene.piece
+    upper = piece.upper or piece.lower
+    _prism(image, (_placed(piece.face, offset_mm, yaw_rad), height_mm),
+           (_placed(upper, offset_mm, yaw_rad), height_mm + piece.height_mm), PIECE)  # fmt: skip
+    return image
+
+
+def _board(image: ImageArray) -> None:
+    """Draw board and dots, in the plane of the touched face as the calibration takes them."""
+    corners = BOARD_MM * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    _fill(image, corners, 0.0, BOARD)
+    angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    ring = DOT_RADIUS_MM * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    for dot in DOTS_MM:
+        _fill(image, dot + ring, 0.0, DOT)
+
+
+def _placed(outline: Outline, at_mm: tuple[float, float], yaw_rad: float) -> FloatArray:
+    return np.asarray(turned(outline.polygon(64), yaw_rad) + at_mm)
+
+
+def _prism(
+    image: ImageArray,
+    low: tuple[FloatArray, float],
+    high: tuple[FloatArray, float],
+    colour: tuple[int, int, int],
+) -> None:
+    """Draw the silhouette between two outlines, and the upper one lighter on top."""
+    shade = (int(SHADE * colour[0]), int(SHADE * colour[1]), int(SHADE * colour[2]))
+    both = np.concatenate([_px(*low), _px(*high)]).astype(np.float32)
+    _paint(image, cv2.convexHull(both).reshape(-1, 2).astype(np.float64), shade)
+    _fill(image, *high, colour)
+
+
+def _fill(
+    image: ImageArray, outline_mm: FloatArray, z_mm: float, colour: tuple[int, int, int]
+) -> None:
+    _paint(image, _px(outline_mm, z_mm), colour)
+
+
+def _px(outline_mm: FloatArray, z_mm: float) -> FloatArray:
+    """Return (n, 2) px of an outline (n, 2) at height ``z_mm``."""
+    count = len(outline_mm)
+    points = np.column_stack([outline_mm, np.full(count, z_mm), np.ones(count)])
+    mapped = points @ camera_matrix().T
+    return np.asarray(mapped[:, :2] / mapped[:, 2:])
+
+
+def _paint(image: ImageArray, corners_px: FloatArray, colour: tuple[int, int, int]) -> None:
+    fixed = np.rint(corners_px * (1 << FRACTION_BITS)).astype(np.int32)
+    cv2.fillPoly(image, [fixed.reshape(-1, 1, 2)], colour, cv2.LINE_8, FRACTION_BITS)

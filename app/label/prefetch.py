@@ -10,6 +10,7 @@ from app.label.post import Post
 
 AHEAD = 3
 """So many episodes before and after the present one are kept ready."""
+CALM_S = 0.08
 
 Item = TypeVar("Item")
 
@@ -78,13 +79,20 @@ class Prefetch(Generic[Item]):
             self._post.put(lambda uuid=uuid: self._arrived(uuid))  # type: ignore[misc]
 
     def _next(self) -> str | None:
-        """Wait for something to read; None: the end."""
+        """Wait for something to read; None: the end.
+
+        The present episode is read at once; its neighbours only when nobody has moved on for a
+        moment, so that reading ahead does not hold up the painting of what was just chosen.
+        """
         with self._changed:
             while not self._closed:
-                for uuid in self._wanted:
-                    if uuid not in self._items:
-                        return uuid
-                self._changed.wait()
+                missing = [uuid for uuid in self._wanted if uuid not in self._items]
+                if missing and missing[0] == self._wanted[0]:
+                    return missing[0]
+                if missing and not self._changed.wait(CALM_S):
+                    return missing[0]
+                if not missing:
+                    self._changed.wait()
         return None
 
 

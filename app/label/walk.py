@@ -69,6 +69,11 @@ class Walk:
         """Return which episodes are in memory."""
         return self._prefetch.held()
 
+    def size(self, uuid: str) -> int:
+        """Return the bytes that an episode takes in memory, 0 if it is not there."""
+        item = self._prefetch.get(uuid)
+        return item.bytes if isinstance(item, LabelItem) else 0
+
     def note(self, entry: EpisodeEntry, badges: tuple[str, ...] | None = None) -> None:
         """Take what is new of an episode, and show its row anew."""
         self.entries[entry.uuid] = entry

@@ -35,25 +35,27 @@ CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModi
 NONE = Qt.KeyboardModifier.NoModifier
 
 
-def make_episode(seed: int) -> Episode:
+def make_episode(seed: int, frames: int = 3) -> Episode:
+    """Return a probe with so many frames a finger; without frames it has no native signals."""
     rng = np.random.default_rng(seed)
-    frames, fields = [], []
-    for k in range(3):
+    films, fields = [], []
+    for k in range(frames):
         for finger in FINGERS:
             t_s = 1.0 + 0.04 * k + (0.013 if finger == "right" else 0.0)
-            image = np.full((240, 320, 3), 60 + 20 * k, np.uint8)
-            frames.append(TactileFrame(finger, k, t_s, image))
+            image = np.full((240, 320, 3), 60 + (20 * k) % 160, np.uint8)
+            films.append(TactileFrame(finger, k, t_s, image))
             shift = rng.normal(0, 2, (63, 2))
             state = np.zeros(63, np.uint8)
             fields.append(MarkerField(finger, k, t_s, REST + shift, shift, state, 1.0))
     t_s = 0.9 + 0.01 * np.arange(220)
     wrench = rng.normal(0, 0.1, (220, 6))
     recording = Recording(
-        t_s, wrench, tuple(fields), tuple(frames), t_s[:5], np.zeros((5, 3)), np.zeros(6)
+        t_s, wrench, tuple(fields), tuple(films), t_s[:5], np.zeros((5, 3)), np.zeros(6)
     )
     quality = EpisodeQuality(True, (), 0, 0.0, 0, 5.0, 0.01)
     observation = rng.normal(0, 1, (20, 258)).astype(np.float32)
-    return Episode(f"e{seed}", "pot", observation, rng.normal(0, 4, 2), 1.0, quality, recording)
+    return Episode(f"e{seed}", "pot", observation, rng.normal(0, 4, 2), 1.0, quality,
+                   recording if frames else None)  # fmt: skip
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,118 @@
+"""Figures of the label page: how soon the next episode is painted, a nudge, an accepted label."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+
+from tests.bench.registry import Figure, figure
+
+EPISODES, FILMED = 10_000, 120
+"""The queue is long; those that are looked at have films of 2 s."""
+LOOKS, NUDGES, ACCEPTED = 100, 200, 50
+
+
+@figure("labelling")
+def label_page() -> list[Figure]:
+    """Walk a queue of 10,000 episodes by the presenter's own steps, painting each offscreen."""
+    os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        with mock.patch.dict(os.environ, {"TOUCHDOWN_DATA": str(folder)}):
+            _fill(folder / "dataset", EPISODES, FILMED)
+            return _walk(folder)
+
+
+def _fill(folder: Path, episodes: int, filmed: int) -> None:
+    """Make the dataset; nothing has to survive a crash here, so nothing is synced."""
+    from backend.catalogue.dataset import Dataset
+    from backend.catalogue.values import EpisodeContext, Label
+    from backend.objects.catalogue import load_catalogue
+    from tests.app.label.conftest import make_episode
+
+    catalogue = load_catalogue()
+    with mock.patch("os.fsync"), Dataset.open(folder, person="bench") as dataset:
+        pair = dataset.geometry.store_pair(catalogue.piece("pot"), catalogue.piece("circle15"))
+        context = EpisodeContext("series", "circle15", pair, "bench", "g", "m")
+        for seed in range(episodes):
+            episode = make_episode(seed, frames=50 if seed < filmed else 0)
+            x_um, y_um = np.rint(1e3 * episode.offset_mm).astype(int).tolist()
+            dataset.record(episode, Label(x_um, y_um, 0, 300), source="commanded", context=context)
+
+
+def _walk(folder: Path) -> list[Figure]:
+    from PySide6.QtTest import QTest
+    from PySide6.QtWidgets import QApplication
+
+    from app.application import TouchdownApp
+    from app.error_hooks import ErrorBox
+
+    application = QApplication.instance() or QApplication([])
+    assert isinstance(application, QApplication)
+    window = TouchdownApp(application, ErrorBox(), folder / "window.json", folder / "runs")
+    workspace = window.workspaces["collect"]
+    workspace.recall({"person": "Ann", "sigma_mm": 0.2})
+    window.window.show()
+    window.go("collect")
+
+    def until(done: Callable[[], bool]) -> None:
+        end_s = time.monotonic() + 120
+        while not done() and time.monotonic() < end_s:
+            QTest.qWait(1)
+
+    until(lambda: workspace.presenter is not None and workspace.presenter.present is not None)
+    p = workspace.presenter  # type: ignore[attr-defined]
+
+    def ready() -> bool:
+        ahead = p.walk.order[p.walk.at + 1]
+        return ahead in p.walk.held() and not p.saving.busy
+
+    def timed(act: Callable[[], None], done: Callable[[], bool]) -> float:
+        start_s = time.perf_counter()
+        act()
+        until(done)
+        application.processEvents()
+        return 1e3 * (time.perf_counter() - start_s)
+
+    looks, nudges, accepted = [], [], []
+    for _ in range(LOOKS // 2):
+        until(ready)
+        want = p.walk.at + 1
+        looks.append(timed(lambda want=want: p.go_to(want), _now))  # type: ignore[misc]
+    for k in range(NUDGES):
+        start_s = time.perf_counter()
+        p.nudge(10 if k % 2 else -10, 0)
+        nudges.append(1e3 * (time.perf_counter() - start_s))
+        application.processEvents()
+    until(lambda: not p.nudging and not p.saving.busy)
+    for _ in range(ACCEPTED):
+        until(ready)
+        before = p.present.item.entry.uuid
+        accepted.append(timed(
+            workspace.decisions.enter,  # type: ignore[attr-defined]
+            lambda before=before: p.present.item.entry.uuid != before,  # type: ignore[misc]
+        ))  # fmt: skip
+    held = sum(p.walk.size(uuid) for uuid in p.walk.held())
+    window.close()
+    note = f"{len(p.walk.order)} episodes, offscreen"
+    next_ms, nudge_ms = (float(np.percentile(v, 95)) for v in (looks, nudges))
+    return [
+        Figure("next episode painted, p95", next_ms, "ms", "<= 50", next_ms <= 50, note),
+        Figure("patch, hull and verdict of a nudge, p95", nudge_ms, "ms", "<= 5", nudge_ms <= 5,
+               note),
+        Figure("accept saved and next painted, p50", float(np.median(accepted)), "ms", "stated",
+               None, note),
+        Figure("accept saved and next painted, p95", float(np.percentile(accepted, 95)), "ms",
+               "stated", None, note),
+        Figure("episodes read ahead", held / 1e6, "MB", "<= 50", held <= 50e6, note),
+    ]  # fmt: skip
+
+
+def _now() -> bool:
+    return True

@@ -26,6 +26,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.window",
     "tests.bench.stacking",
     "tests.bench.store",
+    "tests.bench.labelling",
     "tests.bench.collecting",
     "tests.bench.experiments",
     "tests.bench.store_files",

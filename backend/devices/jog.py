@@ -61,10 +61,12 @@ class Around:
     """What a jog must know of the bench; NaN is unknown.
 
     ``press_n``: press force. ``surface_mm``: height of ``G`` at which a held piece touches the
-    support. ``busy``: whether a run has the bench.
+    support. ``busy``: whether a run has the bench. ``wall_s``: a lease also ends by this clock, as
+    a simulated bench may fall behind real time.
     """
 
     now_s: Callable[[], float]
+    wall_s: Callable[[], float]
     press_n: Callable[[], float]
     surface_mm: Callable[[], float]
     busy: Callable[[], bool]
@@ -83,7 +85,8 @@ class Jog:
         self._arm, self._interlock, self._around, self._tell = arm, interlock, around, tell
         self._lock = threading.Lock()
         self._order: JogOrder | None = None
-        self._ended = self._opened = 0
+        self._taken_s = 0.0
+        self._ended = 0
         self._step: tuple[Motion, Way] | None = None
         self.state = JogState()
         interlock.on_stop(self._stopped)
@@ -116,7 +119,7 @@ class Jog:
             raise
         with self._lock:
             if order.hold > self._ended:
-                self._order = order
+                self._order, self._taken_s = order, self._around.wall_s()
 
     def end(self, hold: int) -> None:
         """End a hold, from any cause and any number of times: the arm stands still."""
@@ -151,11 +154,12 @@ class Jog:
         if self._step is not None:
             self._watch_step(*self._step)
         with self._lock:
-            order = self._order
+            order, taken_s = self._order, self._taken_s
         if order is None:
             return
         try:
-            if self._around.now_s() - order.sent_s > LEASE_S:
+            around = self._around
+            if max(around.now_s() - order.sent_s, around.wall_s() - taken_s) > LEASE_S:
                 raise RefusedError("JOG-LEASE", "The jog was not renewed in time: it ended.")
             self._refuse_if_taken()
             speed, slow = self._permitted(order)

@@ -1,5 +1,7 @@
 """Moving by hand on the simulated bench, on its own clock: motion always ends in time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -87,6 +89,23 @@ def test_a_frozen_window_stops_the_arm_within_the_lease(high):
     assert 0.2 < moved_s - last_s <= MOST_S
     assert [f.reason for f in facts if isinstance(f, Refused)] == ["JOG-LEASE"]
     assert not high.hand.active
+
+
+def test_a_bench_that_falls_behind_stops_by_the_wall_clock(high, monkeypatch):
+    """At a tenth of real time 250 ms of the bench would be 2.5 s of the operator's."""
+    wall = [0.0]
+    monkeypatch.setattr(
+        high.hand.jog, "_around", replace(high.hand.jog._around, wall_s=lambda: wall[0])
+    )
+    high.hand.jog.renew(order(high))
+    moved = 0.0
+    for _ in range(10):
+        before = position(high)
+        high.advance()
+        wall[0] += 10 * STEP_S
+        if not np.array_equal(before, position(high)):
+            moved = wall[0]
+    assert 0.0 < moved <= LEASE_S + 10 * STEP_S
 
 
 def test_after_expiry_only_a_new_press_moves(high):

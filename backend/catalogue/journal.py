@@ -18,6 +18,7 @@ from backend.catalogue.operations import read_operations
 from backend.catalogue.values import Operation
 from backend.core.files import sync_folder
 
+TAIL_BYTES = 65_536
 FIELDS = tuple(field.name for field in fields(Operation))
 
 
@@ -86,16 +87,28 @@ def _mend(path: Path) -> int:
     """Cut a torn last line off; return the last sequence number in the file (0 if none)."""
     if not path.exists():
         return 0
-    content = path.read_bytes()
-    end = content.rfind(b"\n") + 1
-    if end < len(content):
-        os.truncate(path, end)
-    start = content.rfind(b"\n", 0, max(end - 1, 0)) + 1
-    line = content[start:end]
+    start, tail = _tail(path)
+    end = tail.rfind(b"\n") + 1
+    if end < len(tail):
+        os.truncate(path, start + end)
+    line = tail[tail.rfind(b"\n", 0, max(end - 1, 0)) + 1 : end]
     try:
         return int(json.loads(line)["seq"]) if line else 0
     except (ValueError, TypeError, KeyError):
         return _last_readable(path)
+
+
+def _tail(path: Path) -> tuple[int, bytes]:
+    """Return the end of a file with its last whole line at least, and where that begins."""
+    size, length = path.stat().st_size, TAIL_BYTES
+    with path.open("rb") as file:
+        while True:
+            start = max(0, size - length)
+            file.seek(start)
+            tail = file.read()
+            if not start or tail.count(b"\n") >= 2:
+                return start, tail
+            length *= 4
 
 
 def _last_readable(path: Path) -> int:

@@ -12,7 +12,7 @@ import pytest
 
 from backend.catalogue.database import Database
 from backend.catalogue.dataset import Dataset
-from backend.catalogue.journal import read_journal
+from backend.catalogue.journal import Journal, read_journal
 from backend.catalogue.local_disk import file_system, refuse_network
 from backend.catalogue.schema import SCHEMA_VERSION
 from backend.catalogue.values import EpisodeFilter, Label
@@ -226,3 +226,19 @@ def test_filters_pick_what_they_name(dataset: Dataset, record: Record) -> None:
     assert ids(limit=1) == [second.uuid]
     assert ids(piece="barrel") == []
     assert ids(piece="pot", bottom="circle15", campaign="campaign-1") == [second.uuid, third.uuid]
+
+
+@pytest.mark.parametrize("tail_bytes", [8, 65_536])
+def test_a_torn_line_is_cut_off_and_written_again(
+    dataset: Dataset, record: Record, monkeypatch: pytest.MonkeyPatch, tail_bytes: int
+) -> None:
+    monkeypatch.setattr("backend.catalogue.journal.TAIL_BYTES", tail_bytes)
+    entry, site = record(), dataset.description.site
+    dataset.labels.flag("ann", entry.uuid)
+    path = dataset.journal.path(site)
+    whole = path.read_bytes()
+    for torn in (whole[:-5], whole + b'{"seq": 3', whole.splitlines(keepends=True)[0]):
+        path.write_bytes(torn)
+        with dataset.database.reading() as connection:
+            Journal(path.parent).catch_up(connection, site)
+        assert path.read_bytes() == whole

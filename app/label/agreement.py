@@ -23,8 +23,7 @@ def agreement_words(dataset: Dataset) -> str:
             parts.append(in_words(first, second, found))
     return "\n\n".join(parts) or (
         "No two people have answered the same episodes yet.\n\n"
-        "In the queue 'Random audit' with blind mode on (Ctrl+B), Enter keeps your displacement "
-        "as an opinion: the label itself does not change."
+        "In the queue 'Gold' Enter keeps your displacement as an opinion: no label changes."
     )
 
 

@@ -55,12 +55,12 @@ class Sitting:
     @property
     def opines(self) -> bool:
         """Whether answers are opinions for the figures of agreement: no label changes."""
-        return self.blind and self.queue == "audit"
+        return self.queue == "gold" or (self.blind and self.queue == "audit")
 
     @property
     def hides(self) -> bool:
         """Whether model and other sources are out of sight."""
-        return self.blind or self.hidden
+        return self.blind or self.hidden or self.opines
 
 
 @dataclass(slots=True)

@@ -9,8 +9,8 @@ from app.label.item import LabelItem, ModelLabel
 from app.label.page import LabelPage
 from app.label.words import rests_on, source_words
 from backend.catalogue.values import Revision
-from backend.placement.footprint import footprint
 from backend.placement.offset_fit import NOTABLE_SIGMAS, sigmas_apart
+from backend.placement.resting import rest_at
 from widgets.offset_scene import Ghost, OffsetScene, offset_in_words, verdict_in_words
 
 LEAST_SIGMA_MM = 0.05
@@ -56,7 +56,7 @@ def scene_of(
     if offset is None:
         return OffsetScene(item.bottom, item.face, ghosts=ghosts)
     pair = item.pair
-    f = footprint(pair.points_mm, pair.centre_mm, pair.bottom, offset, edit.yaw_rad)
+    f = rest_at(pair.points_mm, pair.centre_mm, pair.bottom, offset, edit.yaw_rad)
     return OffsetScene(
         item.bottom, item.face, offset, edit.yaw_rad, f.points_mm, f.touching, f.hull_mm,
         f.centre_mm, f.margin_mm, f.support, f.too_close, edit.sigma_mm, ghosts,

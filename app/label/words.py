@@ -21,6 +21,7 @@ QUEUES: tuple[tuple[str, str], ...] = (
     ("duplicates", "Alike signals, other labels"),
     ("conflicts", "Conflicts after a merge"),
     ("audit", "Random audit"),
+    ("gold", "Gold: approved labels, answered blind"),
 )
 
 

@@ -9,7 +9,7 @@ from PySide6.QtTest import QTest
 from backend.core.flow import MarkerField, SupportKind
 from backend.objects.shapes import circle, square
 from backend.objects.surface import face_points
-from backend.placement.footprint import footprint
+from backend.placement.resting import rest_at
 from tests.app.stand_in import REST
 from widgets.choice_bar import ChoiceBar
 from widgets.film import Film, FilmTrack, latest
@@ -35,7 +35,7 @@ def theme(qapp, request):
 
 
 def scene(offset, ghosts=()):
-    f = footprint(POT, (0.0, 0.0), square(15.0), offset)
+    f = rest_at(POT, (0.0, 0.0), square(15.0), offset)
     return OffsetScene(BOTTOM, FACE, offset, 0.0, f.points_mm, f.touching, f.hull_mm, f.centre_mm,
                        f.margin_mm, f.support, f.too_close, 0.2, ghosts)  # fmt: skip
 

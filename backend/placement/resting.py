@@ -24,7 +24,7 @@ _KINDS = (SupportKind.NONE, SupportKind.POINT, SupportKind.LINE)
 
 
 @dataclass(frozen=True, slots=True)
-class Footprint:
+class Resting:
     """The face at one displacement, all in the bottom frame ``O``.
 
     ``points_mm`` (N, 2) and ``touching`` (N,): the face's lattice; ``hull_mm`` (k, 2) of the points
@@ -59,13 +59,13 @@ class Footprint:
         return float(self.touching.mean()) if len(self.touching) else 0.0
 
 
-def footprint(
+def rest_at(
     points_mm: FloatArray,
     com_xy_mm: tuple[float, float],
     bottom: Outline,
     offset_mm: tuple[float, float],
     yaw_rad: float = 0.0,
-) -> Footprint:
+) -> Resting:
     """Return what the face does at ``offset_mm``, turned by ``yaw_rad``.
 
     ``points_mm`` (N, 2) is the lattice of the face and ``com_xy_mm`` the centre of mass, both in
@@ -80,4 +80,4 @@ def footprint(
     at = (float(centre[0]), float(centre[1]))
     support = _KINDS[len(hull)] if len(hull) < 3 else SupportKind.AREA
     placed = turned(points_mm, yaw_rad) + shift
-    return Footprint(placed, touching, hull, at, signed_margin_mm(hull, at), support)
+    return Resting(placed, touching, hull, at, signed_margin_mm(hull, at), support)

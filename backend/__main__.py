@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import keyword
 import sys
 from collections.abc import Sequence
 from typing import NoReturn, Protocol, cast
@@ -21,6 +22,8 @@ VERBS = {
     "demo": "stack three pieces without a screen and leave a report",
     "collect": "collect labelled probes into a dataset",
     "dataset": "show, check, back up, rebuild and merge datasets",
+    "export": "hand episodes and labels on in a format that others read",
+    "import": "bring episodes or labels in from a format that others write",
     "replay": "play a recorded run again",
     "simulate": "write labelled episodes of the simulated bench",
     "train": "train a contact-patch model",
@@ -96,7 +99,8 @@ def _dispatch(words: list[str]) -> int:
     if name not in VERBS:
         known = ", ".join(VERBS)
         raise InputError(f"There is no verb '{name}'.", "touchdown", f"Use one of: {known}.")
-    verb = cast("Verb", importlib.import_module(f"backend.verbs.{name}"))
+    module = f"{name}_" if keyword.iskeyword(name) else name
+    verb = cast("Verb", importlib.import_module(f"backend.verbs.{module}"))
     parser = Parser(prog=f"touchdown {name}", description=VERBS[name], allow_abbrev=False)
     parser.add_argument(
         "--json", action="store_true", help="print one JSON object and nothing else"

@@ -48,9 +48,10 @@ class Screen:
 
     @contextmanager
     def progress(self, title: str, total: int | None) -> Iterator[Advance]:
-        """Show a bar with count, elapsed time and ETA; yields ``advance(done, text="")``.
+        """Show a bar with count, elapsed time and ETA; yields ``advance(done, text, total)``.
 
-        ``done`` is the absolute number of steps completed; ``total`` None means unknown.
+        ``done`` is the absolute number of steps completed; ``total`` None means unknown, until a
+        later call tells it.
         """
         bar = Progress(
             TextColumn("{task.description}", markup=False),
@@ -65,8 +66,8 @@ class Screen:
         )
         task = bar.add_task(title, total=total, text="")
 
-        def advance(done: int, text: str = "") -> None:
-            bar.update(task, completed=done, text=text)
+        def advance(done: int, text: str = "", total: int | None = None) -> None:
+            bar.update(task, completed=done, text=text, total=total)
 
         if not self._console.is_terminal:
             self.say(f"{title} ...")

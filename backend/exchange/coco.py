@@ -1,0 +1,218 @@
+"""COCO-like JSON: the bottom face as a canvas, the contact patch as an annotation on it.
+
+20 px/mm, the centre of the bottom in the middle, v down. The polygon is the overlap of both
+outlines; on import only the offset (first keypoint) is read back.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from backend.catalogue.chain import content_hash
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.geometry import Pair
+from backend.catalogue.values import Label
+from backend.core.faults import InputError
+from backend.core.flow import FloatArray
+from backend.exchange.exporting import Job
+from backend.exchange.label_rows import LabelRow
+from backend.exchange.query import Chosen
+from backend.objects.shapes import turned
+from backend.objects.surface import overlap_polygon
+
+FILE = "annotations.json"
+PX_PER_MM = 20.0
+MARGIN_MM = 12.0
+SEEN = 2
+DECIMALS = 4
+MIN_IOU = 0.99
+EDGE_MM = 0.05
+"""One px: so much may the rounding of a polygon move its edge."""
+MAX_BYTES = 1_000_000_000
+INK, PAPER = 60, 245
+
+
+def write(job: Job, folder: Path) -> Mapping[str, object]:
+    """Write ``annotations.json`` and one picture per pair into ``folder``."""
+    images, annotations = [], []
+    canvases: dict[str, Canvas] = {}
+    for one in job.chosen:
+        name = one.revision.geometry
+        if name not in canvases:
+            canvases[name] = Canvas(job.dataset.geometry.pair(name))
+            canvases[name].draw(folder / _file_name(name))
+        canvas = canvases[name]
+        images.append(_image(one, canvas))
+        annotations.append(_annotation(one, canvas))
+        job.advance(one.index + 1)
+    selected = content_hash([[o.entry.uuid, o.revision.rev_uuid] for o in job.chosen])
+    info = {"description": "contact patches", "px_per_mm": PX_PER_MM, "revisions_sha256": selected,
+            "origin_px": {name: list(c.origin_px) for name, c in canvases.items()}}  # fmt: skip
+    categories = [{"id": 1, "name": "contact", "supercategory": "patch",
+                   "keypoints": ["offset", "com"], "skeleton": []}]  # fmt: skip
+    content = {"info": info, "images": images, "annotations": annotations, "categories": categories}
+    (folder / FILE).write_text(json.dumps(content, ensure_ascii=False), "utf-8")
+    return {"data": "json", "px_per_mm": PX_PER_MM}
+
+
+class Canvas:
+    """Where mm of the bottom frame lie on a picture wide enough for face and bottom."""
+
+    def __init__(self, pair: Pair) -> None:
+        self.pair = pair
+        x_mm, y_mm = (extent + MARGIN_MM for extent in pair.bottom.half_extents_mm)
+        half = (math.ceil(x_mm * PX_PER_MM), math.ceil(y_mm * PX_PER_MM))
+        self.origin_px = half
+        self.width, self.height = 2 * half[0] + 1, 2 * half[1] + 1
+
+    def px(self, points_mm: FloatArray) -> FloatArray:
+        """(n, 2) px of points (n, 2) in the bottom frame."""
+        flipped = points_mm * np.array([1.0, -1.0]) * PX_PER_MM
+        centred = flipped + np.array(self.origin_px, dtype=np.float64)
+        return np.asarray(np.round(centred, DECIMALS), dtype=np.float64)
+
+    def draw(self, path: Path) -> None:
+        """Draw the outline of the bottom."""
+        picture = np.full((self.height, self.width), PAPER, dtype=np.uint8)
+        corners = np.rint(self.px(self.pair.bottom.polygon())).astype(np.int32)
+        cv2.polylines(picture, [corners], isClosed=True, color=INK, thickness=2)
+        path.parent.mkdir(exist_ok=True)
+        done, data = cv2.imencode(".png", picture)
+        assert done
+        path.write_bytes(data.tobytes())
+
+
+def _file_name(pair: str) -> str:
+    return f"images/{pair[:16]}.png"
+
+
+def _image(one: Chosen, canvas: Canvas) -> dict[str, object]:
+    return {
+        "id": one.index + 1,
+        "file_name": _file_name(one.revision.geometry),
+        "width": canvas.width,
+        "height": canvas.height,
+        "episode": one.entry.uuid,
+        "file_sha256": one.entry.sha256,
+        "pair": one.revision.geometry,
+        "split": one.split,
+    }
+
+
+def _annotation(one: Chosen, canvas: Canvas) -> dict[str, object]:
+    revision, pair = one.revision, canvas.pair
+    offset = revision.label.offset_mm
+    yaw_rad = math.radians((revision.label.theta_mdeg or 0) / 1e3)
+    x_mm, y_mm = offset.tolist()
+    patch_mm = overlap_polygon(pair.face, (x_mm, y_mm), pair.bottom, yaw_rad)
+    centre_mm = offset + turned(np.array(pair.centre_mm), yaw_rad)
+    points = [
+        value for xy in canvas.px(np.stack([offset, centre_mm])).tolist() for value in (*xy, SEEN)
+    ]
+    return {
+        "id": one.index + 1,
+        "image_id": one.index + 1,
+        "category_id": 1,
+        **_shape(canvas.px(patch_mm)),
+        "iscrowd": 0,
+        "keypoints": points,
+        "num_keypoints": 2,
+        "rev_uuid": revision.rev_uuid,
+        "source": revision.source,
+        "state": revision.state,
+        "label": asdict(revision.label),
+    }
+
+
+def _shape(polygon_px: FloatArray) -> dict[str, object]:
+    """Return segmentation, box and area; without contact they are empty."""
+    if not len(polygon_px):
+        return {"segmentation": [], "bbox": [0, 0, 0, 0], "area": 0.0}
+    low, high = polygon_px.min(axis=0), polygon_px.max(axis=0)
+    x, y = polygon_px[:, 0], polygon_px[:, 1]
+    area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+    box = np.round([*low, *(high - low)], DECIMALS)
+    return {
+        "segmentation": [polygon_px.reshape(-1).tolist()],
+        "bbox": box.tolist(),
+        "area": round(area, DECIMALS),
+    }
+
+
+def read(source: Path, dataset: Dataset) -> Iterator[LabelRow]:
+    """Yield the offsets of ``annotations.json``; rows whose polygon does not fit carry a warning.
+
+    Raises ``InputError`` for a file that is damaged or foreign.
+    """
+    path = source / FILE if source.is_dir() else source
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise ValueError("it is larger than 1 GB")
+        content = json.loads(path.read_bytes())
+        origins, scale = content["info"]["origin_px"], float(content["info"]["px_per_mm"])
+        images = {image["id"]: image for image in content["images"]}
+        for annotation in content["annotations"]:
+            image = images[annotation["image_id"]]
+            yield _row(annotation, image, _Scale(origins[image["pair"]], scale), dataset)
+    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+        raise InputError(
+            f"The annotations cannot be read: {error!r}.", str(path), "Export them again."
+        ) from error
+
+
+class _Scale:
+    def __init__(self, origin_px: Any, px_per_mm: float) -> None:
+        self._origin = np.array(origin_px, dtype=np.float64).reshape(2)
+        self._px_per_mm = px_per_mm
+
+    def mm(self, points_px: Any) -> FloatArray:
+        """(n, 2) mm in the bottom frame."""
+        points = np.array(points_px, dtype=np.float64).reshape(-1, 2)
+        return np.asarray((points - self._origin) / self._px_per_mm * np.array([1.0, -1.0]))
+
+
+def _row(
+    annotation: Mapping[str, Any], image: Mapping[str, Any], scale: _Scale, dataset: Dataset
+) -> LabelRow:
+    x_mm, y_mm = scale.mm(annotation["keypoints"][:2])[0].tolist()
+    x_um, y_um = round(x_mm * 1e3), round(y_mm * 1e3)
+    was = Label(**annotation["label"]) if "label" in annotation else None
+    moved = was is None or (was.x_um, was.y_um) != (x_um, y_um)
+    theta_mdeg = None if was is None else was.theta_mdeg
+    # Whoever moved it did not say how sure they are.
+    label = Label(x_um, y_um, theta_mdeg, None if moved or was is None else was.sigma_um)
+    warning = ""
+    if annotation["segmentation"]:
+        pair = dataset.geometry.pair(str(image["pair"]))
+        corners = scale.mm(annotation["segmentation"][0])
+        share = _iou(corners, label, pair, dataset)
+        if share < MIN_IOU:
+            warning = f"its polygon and the patch of its offset overlap by {share:.2f} only"
+    return LabelRow(str(image["episode"]), str(image.get("file_sha256", "")), label, warning)
+
+
+def _iou(corners_mm: FloatArray, label: Label, pair: Pair, dataset: Dataset) -> float:
+    """Return the overlap of the points within a convex polygon and those of the derived patch."""
+    touching = dataset.geometry.patch(pair.sha256, label).touching
+    yaw_rad = math.radians((label.theta_mdeg or 0) / 1e3)
+    points = turned(pair.points_mm, yaw_rad) + label.offset_mm
+    along = np.roll(corners_mm, -1, axis=0) - corners_mm
+    turn = 1.0 if _doubled_area(corners_mm) > 0.0 else -1.0
+    away = points[:, None, :] - corners_mm
+    cross = turn * (along[:, 0] * away[..., 1] - along[:, 1] * away[..., 0])
+    drawn = (cross >= -EDGE_MM * np.hypot(along[:, 0], along[:, 1])).all(axis=1)
+    union = int((drawn | touching).sum())
+    return int((drawn & touching).sum()) / union if union else 1.0
+
+
+def _doubled_area(corners_mm: FloatArray) -> float:
+    x, y = corners_mm[:, 0], corners_mm[:, 1]
+    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1))

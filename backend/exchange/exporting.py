@@ -1,0 +1,203 @@
+"""Export a dataset: complete with its manifest, or named ``.partial``.
+
+Everything is written into ``<out>.partial``; the manifest comes last, then the folder gets its
+name. An export that was interrupted is begun anew.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.recording import NO_ROOM
+from backend.core.faults import Fault, FaultError, InputError
+from backend.core.files import sync_folder, write_atomically
+from backend.exchange import low_dim, manifest
+from backend.exchange.low_dim import ExportEpisode, Feature
+from backend.exchange.query import Chosen, ExportQuery, Selection, select
+
+PARTIAL = ".partial"
+MARK = ".touchdown-export"
+SAMPLE = "sample"
+SAMPLED = 20
+"""So many episodes, evenly spread, have pictures where ``video`` is ``sample``."""
+Video = Literal["sample", "all", "none"]
+Advance = Callable[[int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What a format writes. ``pictures``: also the tactile pictures at the ticks."""
+
+    dataset: Dataset
+    chosen: tuple[Chosen, ...]
+    features: tuple[Feature, ...]
+    native: bool
+    pictures: bool
+    advance: Advance
+
+    def episodes(self) -> Iterator[ExportEpisode]:
+        """Yield the episodes in order, one in memory at a time."""
+        for done, one in enumerate(self.chosen):
+            yield low_dim.read_export(self.dataset, one, native=self.native, pictures=self.pictures)
+            self.advance(done + 1)
+
+
+Write = Callable[[Job, Path], Mapping[str, object]]
+"""Writes a format into an empty folder; returns how the values are coded, for the manifest."""
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """One format of export. ``signals``: it holds arrays; else labels alone."""
+
+    name: str
+    write: Write
+    signals: bool
+    video: Video = "none"
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What was written: its folder, number of episodes and the hash of the manifest."""
+
+    folder: Path
+    episodes: int
+    manifest_sha256: str
+    warnings: tuple[str, ...]
+
+
+def export(
+    dataset: Dataset,
+    chosen_format: Format,
+    query: ExportQuery,
+    out: Path,
+    video: Video | None = None,
+    advance: Callable[[int, int], None] = lambda done, total: None,
+) -> Exported:
+    """Write the episodes of ``query`` to the new folder ``out``; ``advance(done, total)``.
+
+    Raises ``InputError`` for bad wishes, ``FaultError`` if the disk refuses.
+    """
+    wanted = chosen_format.video if video is None else video
+    selection = select(dataset, query)
+    _check_video(chosen_format, selection.chosen, wanted)
+    job = _job(dataset, chosen_format, selection)
+    part = _begin(out)
+    try:
+        described = manifest.describe(dataset, chosen_format.name, query, selection, job.features)
+        _write(job, chosen_format, described, wanted, part, advance)
+        manifest_sha256 = manifest.write_manifest(part, described)
+        (part / MARK).unlink()
+        part.replace(out)
+        sync_folder(out.parent)
+    except OSError as error:
+        raise FaultError(_disk_fault(error, part)) from error
+    return Exported(out, len(job.chosen), manifest_sha256, tuple(described["warnings"]))
+
+
+def _job(dataset: Dataset, chosen_format: Format, selection: Selection) -> Job:
+    chosen = selection.chosen
+    if not chosen_format.signals:
+        return Job(dataset, chosen, (), False, False, lambda done: None)
+    native = low_dim.have_recordings(dataset, chosen)
+    listed = low_dim.features(low_dim.face_points(dataset, chosen), native=native)
+    return Job(dataset, chosen, listed, native, False, lambda done: None)
+
+
+def _check_video(chosen_format: Format, chosen: Sequence[Chosen], video: Video) -> None:
+    if video != "none" and not chosen_format.signals:
+        raise InputError(
+            f"The format '{chosen_format.name}' holds no pictures.", "--video", "Leave it out."
+        )
+    without = len(chosen) - len(_filmed(chosen))
+    if video == "all" and without:
+        raise InputError(
+            f"{without} episodes were kept without pictures.",
+            "--video all",
+            "Use --video sample, which takes those that have some.",
+        )
+
+
+def _filmed(chosen: Sequence[Chosen]) -> list[Chosen]:
+    return [one for one in chosen if one.entry.keep_frames != "none"]
+
+
+def _begin(out: Path) -> Path:
+    """Return the empty ``.partial`` folder, cleared of an interrupted export."""
+    if out.exists() or out.name.endswith(PARTIAL):
+        raise InputError("This folder is there already, or has a kept name.", str(out),
+                         "Name a new folder.")  # fmt: skip
+    part = out.with_name(out.name + PARTIAL)
+    if part.exists():
+        if not ((part / MARK).is_file() or (part / manifest.NAME).is_file()):
+            raise InputError("This is no interrupted export.", str(part), "Move it away.")
+        shutil.rmtree(part)
+    part.mkdir(parents=True)
+    (part / MARK).touch()
+    return part
+
+
+def _write(
+    job: Job,
+    chosen_format: Format,
+    described: manifest.Manifest,
+    video: Video,
+    part: Path,
+    advance: Callable[[int, int], None],
+) -> None:
+    """Write all files but the manifest, and what they are into ``described``."""
+    filmed = _filmed(job.chosen)
+    sample = _sample(filmed) if video == "sample" else ()
+    total = len(job.chosen) + len(sample)
+    for name in described["geometry"]:
+        record = job.dataset.geometry.folder / f"{name}.json"
+        write_atomically(part / manifest.GEOMETRY / record.name, record.read_bytes())
+    whole = replace(job, pictures=video == "all", advance=lambda done: advance(done, total))
+    codec = {"": dict(chosen_format.write(whole, part))}
+    if sample:
+        before = len(job.chosen)
+        sampled = replace(
+            job, chosen=sample, pictures=True, advance=lambda done: advance(before + done, total)
+        )
+        codec[SAMPLE] = dict(chosen_format.write(sampled, _made(part / SAMPLE)))
+    described["codec"] = codec
+    described["video"] = {"kind": video, "sampled": [one.entry.uuid for one in sample]}
+    described["warnings"] += _warnings(job, chosen_format)
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir()
+    return folder
+
+
+def _sample(filmed: Sequence[Chosen]) -> tuple[Chosen, ...]:
+    """Return up to 20 episodes, evenly spread, numbered anew."""
+    count = min(SAMPLED, len(filmed))
+    picked = [filmed[k * len(filmed) // count] for k in range(count)]
+    return tuple(replace(one, index=index) for index, one in enumerate(picked))
+
+
+def _warnings(job: Job, chosen_format: Format) -> list[str]:
+    if not chosen_format.signals:
+        return []
+    if not job.native:
+        return ["Some episodes have no recorded signals: only what the model is given is here."]
+    return [
+        "The action is the measured pose at the next tick; the orientation of the tool is fixed.",
+        "Own rates and stamps are in the episode files only; here all is at 10 Hz.",
+    ]
+
+
+def _disk_fault(error: OSError, part: Path) -> Fault:
+    full = error.errno in NO_ROOM
+    return Fault(
+        code="DISK-FULL" if full else "EXPORT-WRITE",
+        what="The disk is full." if full else f"The export cannot be written: {error}.",
+        consequence=f"The export is not complete; what is in {part.name} is of no use.",
+        next_step="Make room, then export again.",
+    )

@@ -1,0 +1,81 @@
+"""Open foreign files in a process of their own, with a deadline: a bad file may hang or crash it.
+
+(HDFGroup/hdf5 #1707: reading a corrupt file can take for ever.)
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+from backend.core.faults import InputError
+from backend.exchange.foreign_episode import ForeignEpisode, load
+
+DEADLINE_S = 60.0
+"""So long may one episode take; the first one includes opening the file."""
+
+
+def read_foreign(
+    kind: str, source: Path, deadline_s: float = DEADLINE_S
+) -> Iterator[ForeignEpisode]:
+    """Yield the episodes of ``source`` as the reader ``kind`` finds them, one in memory at a time.
+
+    Raises ``InputError`` for a file that is damaged, foreign, or not read within the deadline.
+    """
+    command = [sys.executable, "-m", "backend.exchange.foreign_child", kind, str(source.resolve())]
+    with tempfile.TemporaryDirectory(prefix="touchdown-import-") as folder:
+        child = subprocess.Popen(
+            [*command, folder], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL, cwd=Path(__file__).parents[2],
+        )  # fmt: skip
+        assert child.stdout is not None
+        lines: queue.Queue[bytes] = queue.Queue()
+        listener = threading.Thread(target=_listen, args=(child.stdout, lines), daemon=True)
+        listener.start()
+        try:
+            yield from _episodes(lines, source, deadline_s)
+        finally:
+            child.kill()
+            child.wait()
+            listener.join()
+            child.stdout.close()
+
+
+def _listen(stream: IO[bytes], lines: queue.Queue[bytes]) -> None:
+    for line in stream:
+        lines.put(line)
+    lines.put(b"")
+
+
+def _episodes(
+    lines: queue.Queue[bytes], source: Path, deadline_s: float
+) -> Iterator[ForeignEpisode]:
+    while True:
+        try:
+            line = lines.get(timeout=deadline_s)
+        except queue.Empty:
+            raise InputError(
+                f"The file was not read within {deadline_s:g} s and was given up.",
+                str(source),
+                "It is damaged or far too large; use another copy.",
+            ) from None
+        answer: dict[str, str] = json.loads(line) if line.endswith(b"\n") else {}
+        if "episode" in answer:
+            path = Path(answer["episode"])
+            yield load(path)
+            path.unlink()
+        elif "error" in answer:
+            raise InputError(answer["error"], answer["where"] or str(source), answer["fix"])
+        elif "done" in answer:
+            return
+        else:
+            raise InputError(
+                "The reader crashed on this file.", str(source), "It is damaged; use another copy."
+            )

@@ -1,0 +1,90 @@
+"""Labels from outside, set on the episodes they name: new drafts, one operation for all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from backend.catalogue import heads, operations, review
+from backend.catalogue.database import add_event
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.label_reading import standing_of
+from backend.catalogue.values import Content, Label, Revision, Source
+from backend.core.faults import RefusedError
+
+
+@dataclass(frozen=True, slots=True)
+class LabelRow:
+    """One label of a file: whose it is (by ``episode``, else by the hash of its file)."""
+
+    episode: str
+    file_sha256: str
+    label: Label
+    warning: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LabelsTaken:
+    """What an import of labels did: how many changed or were the same, and what was not taken."""
+
+    changed: int
+    unchanged: int
+    refused: tuple[tuple[str, str], ...]
+    warnings: tuple[str, ...]
+
+
+def take_labels(
+    dataset: Dataset, rows: Iterable[LabelRow], person: str, where: str, *, check: bool = False
+) -> LabelsTaken:
+    """Set the labels of ``rows`` in the name of ``person``, as one operation.
+
+    Equal labels are left alone. What may not be set (it waits for review, is another's work, names
+    no episode here) is refused by row. ``check``: tell only, and write nothing.
+    """
+    name = review.check_person(person)
+    listed = list(rows)
+    refused: list[tuple[str, str]] = []
+    draft = operations.Draft()
+    unchanged = 0
+    for row in listed:
+        try:
+            change = _change(dataset, row, name)
+        except RefusedError as error:
+            refused.append((row.episode, error.detail))
+            continue
+        if change is None:
+            unchanged += 1
+        else:
+            draft.revs.append(change)
+    if draft.revs and not check:
+        dataset.labels.before_bulk()
+        with dataset.labels.commit() as connection:
+            site = dataset.description.site
+            _, touched = operations.append(connection, site, name, "import", draft)
+            heads.refresh(connection, touched)
+            body = {"labels": len(draft.revs), "refused": len(refused)}
+            add_event(connection, name, "import", where, body)
+    warnings = tuple(f"{row.episode}: {row.warning}." for row in listed if row.warning)
+    return LabelsTaken(len(draft.revs), unchanged, tuple(refused), warnings)
+
+
+def _change(dataset: Dataset, row: LabelRow, person: str) -> dict[str, object] | None:
+    found = dataset.database.first(
+        "SELECT uuid FROM episode WHERE uuid = ? OR (sha256 = ? AND NOT EXISTS"
+        " (SELECT 1 FROM episode WHERE uuid = ?)) ORDER BY uuid",
+        (row.episode, row.file_sha256, row.episode),
+    )
+    if found is None:
+        raise RefusedError("unknown episode", "There is no such episode here.")
+    head = dataset.labels.head(found[0])
+    if row.label == head.label:
+        return None
+    with dataset.database.reading() as connection:
+        state = review.after("set", standing_of(connection, head.episode), person)
+    return operations.new_revision(
+        head.episode, head.rev_uuid, _content(head, row.label, "human"), state
+    )
+
+
+def _content(head: Revision, label: Label, source: Source) -> Content:
+    return replace(Content.of(head), label=label, source=source)

@@ -1,0 +1,240 @@
+"""LeRobotDataset v3.0: parquet rows per tick, many episodes per file, videos one after the other.
+
+Source: huggingface/lerobot, docs/source/lerobot-dataset-v3.mdx and src/lerobot/datasets. Written
+without that package; its reader is asked by ``make exchange-check``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from backend.config.method import SAMPLES_PER_PROBE
+from backend.exchange.exporting import Job
+from backend.exchange.extra import need
+from backend.exchange.lerobot_film import CODEC, VIDEO_MB, Film
+from backend.exchange.low_dim import FPS, PICTURES, ExportEpisode, Feature
+from backend.exchange.running_stats import RunningStats
+
+CODEBASE = "v3.0"
+CHUNK_FILES, DATA_MB = 1000, 100
+DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
+COUNTERS = ("frame_index", "episode_index", "index", "task_index")
+STATS_EVERY = 5
+"""Every such picture goes into the statistics of pixels."""
+
+
+def write(job: Job, folder: Path) -> Mapping[str, object]:
+    """Write the episodes of ``job`` as a LeRobot dataset in ``folder``."""
+    tasks = sorted({_task(one.entry.piece, one.entry.bottom) for one in job.chosen})
+    rows: list[dict[str, Any]] = []
+    stats: dict[str, RunningStats] = {}
+    with _Data(folder, job.features) as data, _Films(folder, job.pictures) as films:
+        for episode in job.episodes():
+            task = _task(episode.chosen.entry.piece, episode.chosen.entry.bottom)
+            row = data.add(episode, tasks.index(task)) | films.add(episode)
+            rows.append({"episode_index": episode.chosen.index, "tasks": [task],
+                         "length": SAMPLES_PER_PROBE, **row})  # fmt: skip
+            _count(stats, episode, job.features)
+    _write_episodes(folder, rows)
+    _write_tasks(folder, tasks)
+    _write_json(folder / "meta/info.json", _info(job, len(tasks)))
+    _write_json(folder / "meta/stats.json", {key: one.result() for key, one in stats.items()})
+    return {"data": "parquet, snappy"} | ({"video": CODEC} if job.pictures else {})
+
+
+def _task(piece: str, bottom: str) -> str:
+    return f"press the {piece} on the {bottom}"
+
+
+class _Data:
+    """The parquet files of rows: one row group per episode, a new file beyond 100 MB."""
+
+    def __init__(self, folder: Path, features: Sequence[Feature]) -> None:
+        pa = need("pyarrow")
+        self._parquet = need("pyarrow.parquet")
+        self._pa, self._folder, self._features = pa, folder, features
+        fields = [pa.field(f.key, _type(pa, f.dtype, f.shape)) for f in features]
+        fields.append(pa.field("timestamp", pa.float32()))
+        fields += [pa.field(name, pa.int64()) for name in COUNTERS]
+        self._schema = pa.schema(fields)
+        self._writer: Any = None
+        self._path = folder
+        self._file, self._frames = -1, 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._writer is not None:
+            self._writer.close()
+
+    def add(self, episode: ExportEpisode, task: int) -> dict[str, Any]:
+        """Append the rows of one episode; returns where they are."""
+        if self._writer is None or self._path.stat().st_size > DATA_MB * 1_000_000:
+            self._next_file()
+        frame = np.arange(SAMPLES_PER_PROBE, dtype=np.int64)
+        index, first = episode.chosen.index, self._frames
+        columns: dict[str, Any] = {
+            f.key: episode.per_tick(f).astype(f.dtype, copy=False) for f in self._features
+        }
+        columns["timestamp"] = (frame / FPS).astype(np.float32)
+        counters = (frame, np.full_like(frame, index), first + frame, np.full_like(frame, task))
+        columns |= dict(zip(COUNTERS, counters, strict=True))
+        arrays = [_array(self._pa, columns[f.name], f.type) for f in self._schema]
+        self._writer.write_table(self._pa.Table.from_arrays(arrays, schema=self._schema))
+        self._frames += SAMPLES_PER_PROBE
+        chunk, number = divmod(self._file, CHUNK_FILES)
+        return {
+            "data/chunk_index": chunk,
+            "data/file_index": number,
+            "dataset_from_index": first,
+            "dataset_to_index": self._frames,
+        }
+
+    def _next_file(self) -> None:
+        if self._writer is not None:
+            self._writer.close()
+        self._file += 1
+        chunk, number = divmod(self._file, CHUNK_FILES)
+        self._path = self._folder / DATA_PATH.format(chunk_index=chunk, file_index=number)
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._writer = self._parquet.ParquetWriter(self._path, self._schema, compression="snappy")
+
+
+class _Films:
+    """The videos of both fingers."""
+
+    def __init__(self, folder: Path, pictures: bool) -> None:
+        keys = PICTURES.values() if pictures else ()
+        self._films = {key: Film(folder, VIDEO_PATH, key) for key in keys}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for film in self._films.values():
+            film.close()
+
+    def add(self, episode: ExportEpisode) -> dict[str, Any]:
+        """Append the pictures of one episode; returns where they are."""
+        row: dict[str, Any] = {}
+        for key, film in self._films.items():
+            row |= film.add(episode.pictures[key])
+        return row
+
+
+def _type(pa: Any, dtype: str, shape: Sequence[int]) -> Any:
+    kind = pa.from_numpy_dtype(np.dtype(dtype))
+    if len(shape) == 1:
+        return pa.list_(kind, shape[0])
+    for _ in shape:
+        kind = pa.list_(kind)
+    return kind
+
+
+def _array(pa: Any, values: np.ndarray[Any, Any], kind: Any) -> Any:
+    if values.ndim == 1:
+        return pa.array(values, kind)
+    flat = pa.array(values.reshape(-1))
+    if values.ndim == 2:
+        return pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+    rows, columns = values.shape[1:]
+    inner = pa.ListArray.from_arrays(np.arange(0, values.size + 1, columns, dtype=np.int32), flat)
+    return pa.ListArray.from_arrays(np.arange(0, len(inner) + 1, rows, dtype=np.int32), inner)
+
+
+def _count(
+    stats: dict[str, RunningStats], episode: ExportEpisode, features: Sequence[Feature]
+) -> None:
+    for f in features:
+        stats.setdefault(f.key, RunningStats()).add(episode.per_tick(f).astype(np.float64))
+    for key, pictures in episode.pictures.items():
+        pixels = np.stack(pictures[::STATS_EVERY]).astype(np.float64) / 255.0
+        by_channel = np.moveaxis(pixels, -1, 1).reshape(len(pixels), 3, -1)
+        by_pixel = np.moveaxis(by_channel, 1, 2).reshape(-1, 3, 1, 1)
+        stats.setdefault(key, RunningStats()).add(by_pixel)
+
+
+def _write_episodes(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    pa = need("pyarrow")
+    path = folder / EPISODES_PATH
+    path.parent.mkdir(parents=True, exist_ok=True)
+    places = {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
+    table = pa.Table.from_pylist([{**row, **places} for row in rows])
+    need("pyarrow.parquet").write_table(table, path, compression="snappy")
+
+
+def _write_tasks(folder: Path, tasks: Sequence[str]) -> None:
+    """Write ``tasks.parquet``: the text is the index of a pandas frame, said by its metadata."""
+    pa = need("pyarrow")
+    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": list(tasks)})
+    column = {"pandas_type": "int64", "numpy_type": "int64", "metadata": None}
+    text = {"pandas_type": "unicode", "numpy_type": "object", "metadata": None}
+    pandas = {
+        "index_columns": ["task"],
+        "column_indexes": [{"name": None, "field_name": None, "pandas_type": "unicode",
+                            "numpy_type": "object", "metadata": {"encoding": "UTF-8"}}],
+        "columns": [{"name": "task_index", "field_name": "task_index", **column},
+                    {"name": "task", "field_name": "task", **text}],
+        "creator": {"library": "pyarrow", "version": pa.__version__},
+        "pandas_version": "2.0.0",
+    }  # fmt: skip
+    table = table.replace_schema_metadata({"pandas": json.dumps(pandas)})
+    need("pyarrow.parquet").write_table(table, folder / "meta/tasks.parquet", compression="snappy")
+
+
+def _info(job: Job, tasks: int) -> dict[str, Any]:
+    listed: dict[str, Any] = {
+        f.key: {"dtype": f.dtype, "shape": list(f.shape), "names": list(f.names) or None}
+        for f in job.features
+    }
+    for key in PICTURES.values() if job.pictures else ():
+        listed[key] = Film.feature()
+    listed["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
+    listed |= {name: {"dtype": "int64", "shape": [1], "names": None} for name in COUNTERS}
+    return {
+        "codebase_version": CODEBASE,
+        "robot_type": None,
+        "total_episodes": len(job.chosen),
+        "total_frames": len(job.chosen) * SAMPLES_PER_PROBE,
+        "total_tasks": tasks,
+        "chunks_size": CHUNK_FILES,
+        "data_files_size_in_mb": DATA_MB,
+        "video_files_size_in_mb": VIDEO_MB,
+        "fps": FPS,
+        "splits": _ranges(job),
+        "data_path": DATA_PATH,
+        "video_path": VIDEO_PATH if job.pictures else None,
+        "features": listed,
+    }
+
+
+def _ranges(job: Job) -> dict[str, str]:
+    """Return each side of the split as a range of episodes: they come side by side."""
+    sides: dict[str, list[int]] = {}
+    for one in job.chosen:
+        sides.setdefault(one.split, []).append(one.index)
+    return {side: f"{index[0]}:{index[-1] + 1}" for side, index in sides.items()}
+
+
+def _write_json(path: Path, content: Mapping[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content, indent=4), "utf-8")

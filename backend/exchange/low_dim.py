@@ -1,0 +1,177 @@
+"""One neutral value per episode that every export format writes: numbers at 10 Hz, label, patch.
+
+Recorded signals keep their own rates and stamps; a foreign format has one rate. So the wrench is
+also handed on as all samples of each tick, and times count from the contact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.catalogue.cache import CacheRow, read_observation
+from backend.catalogue.dataset import Dataset
+from backend.config.method import SAMPLES_PER_PROBE
+from backend.core.faults import InputError
+from backend.core.flow import (
+    FINGERS,
+    TACTILE_CHANNELS,
+    WRENCH_CHANNELS,
+    FloatArray,
+    ImageArray,
+    Recording,
+)
+from backend.dataset.contents import read_first
+from backend.dataset.episode_file import to_ns
+from backend.dataset.film_reading import FilmedEpisode, Pictures, read_film
+from backend.exchange.query import Chosen
+
+FPS = 10
+TICK_NS = 1_000_000_000 // FPS
+WINDOW = 100
+"""Wrench samples per tick: 1 kHz."""
+MARKERS, FT, FT_WINDOW = "observation.markers", "observation.ft", "observation.ft_window"
+STATE, ACTION = "observation.state", "action"
+OFFSET, PATCH = "label.offset_mm", "label.patch"
+PICTURES = {"left": "observation.images.tac_left", "right": "observation.images.tac_right"}
+Values = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Feature:
+    """One named array: ``shape`` per tick, or once per episode where it is ``constant``."""
+
+    key: str
+    dtype: str
+    shape: tuple[int, ...]
+    constant: bool = False
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ExportEpisode:
+    """``values`` by feature: (20, ...), or (...) where constant. ``pictures``: 20 RGB per key."""
+
+    chosen: Chosen
+    values: Mapping[str, Values]
+    pictures: Mapping[str, tuple[ImageArray, ...]]
+
+    def per_tick(self, feature: Feature) -> Values:
+        """(20, ...) of ``feature``, repeated where it is constant."""
+        values = self.values[feature.key]
+        return np.repeat(values[None], SAMPLES_PER_PROBE, axis=0) if feature.constant else values
+
+
+POSE_NAMES = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+FT_NAMES = ("fx_n", "fy_n", "fz_n", "tx_nm", "ty_nm", "tz_nm")
+
+
+def features(points: int, *, native: bool) -> tuple[Feature, ...]:
+    """Return the features of episodes with ``points`` face points; ``native``: with recordings."""
+    recorded = (
+        Feature(FT_WINDOW, "float32", (WINDOW, WRENCH_CHANNELS)),
+        Feature(STATE, "float32", (7,), names=POSE_NAMES),
+        Feature(ACTION, "float32", (7,), names=POSE_NAMES),
+    )
+    return (
+        Feature(MARKERS, "float32", (TACTILE_CHANNELS,)),
+        Feature(FT, "float32", (WRENCH_CHANNELS,), names=FT_NAMES),
+        *(recorded if native else ()),
+        Feature(OFFSET, "float32", (2,), constant=True, names=("x", "y")),
+        Feature(PATCH, "uint8", (points,), constant=True),
+    )
+
+
+def face_points(dataset: Dataset, chosen: Iterable[Chosen]) -> int:
+    """Return the number of face points that all share; raises ``InputError`` for several faces."""
+    pairs = sorted({one.revision.geometry for one in chosen})
+    faces = {name: dataset.geometry.read(name)["face"] for name in pairs}
+    if len(set(faces.values())) != 1:
+        pieces = sorted({one.entry.piece for one in chosen})
+        raise InputError(
+            f"The episodes belong to different grasped faces ({', '.join(pieces)}).",
+            str(dataset.folder),
+            "Name one piece with --piece: this format has arrays of one size.",
+        )
+    return len(dataset.geometry.pair(pairs[0]).points_mm)
+
+
+def have_recordings(dataset: Dataset, chosen: Iterable[Chosen]) -> bool:
+    """Whether every episode has its recorded signals, and not only what the model is given."""
+    return all(
+        one.entry.mode != "mass"
+        and read_first(dataset.folder / one.entry.path).metadata["episode"]["recording"] == "native"
+        for one in chosen
+    )
+
+
+def read_export(
+    dataset: Dataset, one: Chosen, *, native: bool, pictures: bool = False
+) -> ExportEpisode:
+    """Read one episode; ``pictures`` decodes those nearest to the ticks, where there are any."""
+    label = one.revision.label
+    patch = dataset.geometry.patch(one.revision.geometry, label)
+    values: dict[str, Values] = {
+        OFFSET: label.offset_mm.astype(np.float32),
+        PATCH: patch.touching.astype(np.uint8),
+    }
+    if one.entry.mode == "mass":
+        return ExportEpisode(one, values | _observed(_packed(dataset, one)), {})
+    film = read_film(dataset.folder / one.entry.path)
+    values |= _observed(film.episode.observation)
+    if native:
+        assert film.episode.recording is not None
+        values |= _recorded(film.episode.recording, film.episode.onset_s)
+    return ExportEpisode(one, values, _pictures(film) if pictures else {})
+
+
+def _packed(dataset: Dataset, one: Chosen) -> NDArray[np.float32]:
+    place = dataset.database.first(
+        "SELECT chunk_off, chunk_len FROM episode WHERE uuid = ?", (one.entry.uuid,)
+    )
+    assert place is not None
+    row = CacheRow(one.entry.uuid, one.entry.sha256, one.revision.rev_uuid, one.entry.path,
+                   (place[0], place[1]), 0, 0, one.revision.geometry)  # fmt: skip
+    return read_observation(dataset.folder, row)
+
+
+def _observed(observation: NDArray[np.float32]) -> dict[str, Values]:
+    split = np.split(observation, [TACTILE_CHANNELS], axis=1)
+    return {MARKERS: split[0].copy(), FT: split[1].copy()}
+
+
+def _recorded(recording: Recording, onset_s: float) -> dict[str, Values]:
+    """Return wrench windows and poses at the ticks, all times in whole ns since the contact."""
+    onset_ns = int(to_ns([onset_s])[0])
+    ticks_ns = TICK_NS * np.arange(1, SAMPLES_PER_PROBE + 1)
+    fine_ns = (TICK_NS // WINDOW) * np.arange(1, WINDOW * SAMPLES_PER_PROBE + 1)
+    # Sample and hold: at 1 kHz these are the samples themselves, moved by less than 1 ms.
+    latest = np.searchsorted(to_ns(recording.wrench_t_s) - onset_ns, fine_ns, side="right") - 1
+    wrench = recording.wrench[np.maximum(latest, 0)].astype(np.float32)
+    at_ns = to_ns(recording.pose_t_s) - onset_ns
+    xyz_m = [np.interp(ticks_ns, at_ns, recording.pose_mm[:, axis]) / 1e3 for axis in range(3)]
+    state = np.zeros((SAMPLES_PER_PROBE, 7), dtype=np.float32)
+    state[:, :3] = np.stack(xyz_m, axis=1)
+    state[:, 6] = 1.0
+    action = np.concatenate([state[1:], state[-1:]])
+    windows = wrench.reshape(SAMPLES_PER_PROBE, WINDOW, WRENCH_CHANNELS)
+    return {FT_WINDOW: windows, STATE: state, ACTION: action}
+
+
+def _pictures(film: FilmedEpisode) -> dict[str, tuple[ImageArray, ...]]:
+    ticks_s = film.episode.onset_s + np.arange(1, SAMPLES_PER_PROBE + 1) / FPS
+    return {
+        PICTURES[finger]: _nearest(film.pictures[finger], ticks_s)
+        for finger in FINGERS
+        if film.pictures[finger].packed
+    }
+
+
+def _nearest(pictures: Pictures, ticks_s: FloatArray) -> tuple[ImageArray, ...]:
+    index = np.abs(pictures.t_s[None, :] - ticks_s[:, None]).argmin(axis=1).tolist()
+    decoded = {k: np.ascontiguousarray(pictures.picture(k)[:, :, ::-1]) for k in sorted(set(index))}
+    return tuple(decoded[k] for k in index)

@@ -1,0 +1,162 @@
+"""``manifest.json``: what an export holds, from which query, revisions, geometry and program.
+
+The same query on the same revisions gives the same manifest except ``created_ns``.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from hashlib import sha256
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.raw_files import digest
+from backend.catalogue.schema import SCHEMA_VERSION
+from backend.core.faults import InputError
+from backend.core.files import write_atomically
+from backend.exchange.low_dim import FPS, Feature
+from backend.exchange.query import Chosen, ExportQuery, Selection
+
+NAME = "manifest.json"
+VERSION = 1
+GEOMETRY = "geometry"
+MAX_BYTES = 2_000_000_000
+Manifest = dict[str, Any]
+
+
+def describe(
+    dataset: Dataset,
+    format_name: str,
+    query: ExportQuery,
+    selection: Selection,
+    features: Sequence[Feature],
+) -> Manifest:
+    """Return the manifest of an export, but for its files and codec."""
+    chosen = selection.chosen
+    revisions = [one.revision for one in chosen]
+    resolved = {name: getattr(query, name) for name in ExportQuery.__slots__}
+    return {
+        "version": VERSION,
+        "format": format_name,
+        "created_ns": time.time_ns(),
+        "program_version": _program(),
+        "schema_version": SCHEMA_VERSION,
+        "dataset_uuid": dataset.description.uuid,
+        "query": {"text": query.text(), "resolved": resolved | {"states": list(query.states)}},
+        "episodes": [_episode(one) for one in chosen],
+        "geometry": sorted(records_of(dataset, chosen)),
+        "label_states": dict(sorted(Counter(r.state for r in revisions).items())),
+        "label_sources": dict(sorted(Counter(r.source for r in revisions).items())),
+        "feature_spec": {
+            "fps": FPS,
+            "features": [
+                {"key": f.key, "dtype": f.dtype, "shape": list(f.shape), "constant": f.constant}
+                for f in features
+            ],
+        },
+        "splits": splits(chosen),
+        "site_heads": dataset.labels.chain_heads(),
+        "warnings": list(selection.warnings),
+    }
+
+
+def splits(chosen: Sequence[Chosen]) -> dict[str, list[int]]:
+    """Return the export numbers on each side of the split."""
+    sides: dict[str, list[int]] = {}
+    for one in chosen:
+        sides.setdefault(one.split, []).append(one.index)
+    return sides
+
+
+def _episode(one: Chosen) -> dict[str, object]:
+    entry, revision, label = one.entry, one.revision, one.revision.label
+    return {
+        "uuid": entry.uuid,
+        "file_sha256": entry.sha256,
+        "rev_uuid": revision.rev_uuid,
+        "export_index": one.index,
+        "piece": entry.piece,
+        "bottom": entry.bottom,
+        "geometry": revision.geometry,
+        "grip_id": entry.grip_id,
+        "mounting_id": entry.mounting_id,
+        "person": entry.person,
+        "mode": entry.mode,
+        "recorded_ns": entry.recorded_ns,
+        "split": one.split,
+        "label": {name: getattr(label, name) for name in type(label).__slots__},
+        "source": revision.source,
+        "state": revision.state,
+        "verdict": revision.verdict,
+    }
+
+
+def records_of(dataset: Dataset, chosen: Sequence[Chosen]) -> set[str]:
+    """Return the hashes of all geometry records that the labels need."""
+    found: set[str] = set()
+    for pair in {one.revision.geometry for one in chosen}:
+        record = dataset.geometry.read(pair)
+        found |= {pair, *(str(record[name]) for name in ("face", "bottom", "grid"))}
+    return found
+
+
+def write_manifest(folder: Path, manifest: Manifest) -> str:
+    """List the files of ``folder`` in the manifest and write it last; returns its SHA-256."""
+    found = (path for path in folder.rglob("*") if path.is_file())
+    paths = sorted(path for path in found if path != folder / NAME and path.name[0] != ".")
+    manifest["files"] = [
+        {
+            "path": path.relative_to(folder).as_posix(),
+            "bytes": path.stat().st_size,
+            "sha256": digest(path),
+        }
+        for path in paths
+    ]
+    content = json.dumps(manifest, indent=1, ensure_ascii=False, allow_nan=False).encode("utf-8")
+    write_atomically(folder / NAME, content)
+    return sha256(content).hexdigest()
+
+
+def read_manifest(folder: Path) -> Manifest | None:
+    """Return the checked manifest of an export of Touchdown, None where there is none.
+
+    Raises ``InputError`` if it cannot be read, or if a file is missing or was changed.
+    """
+    path = folder / NAME
+    if not path.is_file():
+        return None
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise ValueError("it is too large")
+        manifest = json.loads(path.read_bytes())
+        if manifest["version"] != VERSION:
+            raise ValueError(f"its version is {manifest['version']}, not {VERSION}")
+        _check_files(folder, manifest["files"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"The manifest of this export cannot be used: {error}.", str(path), "Export again."
+        ) from error
+    return dict(manifest)
+
+
+def _check_files(folder: Path, files: Sequence[Mapping[str, Any]]) -> None:
+    for listed in files:
+        path = folder / str(listed["path"])
+        if not path.resolve().is_relative_to(folder.resolve()):
+            raise ValueError(f"{listed['path']} lies outside the export")
+        if not path.is_file() or path.stat().st_size != listed["bytes"]:
+            raise ValueError(f"{listed['path']} is missing or cut short")
+        if digest(path) != listed["sha256"]:
+            raise ValueError(f"{listed['path']} was changed since it was exported")
+
+
+def _program() -> str:
+    try:
+        return f"touchdown {version('touchdown')}"
+    except PackageNotFoundError:
+        return "touchdown (not installed)"

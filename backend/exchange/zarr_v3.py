@@ -1,0 +1,68 @@
+"""Zarr v3: one array per feature, first axis = episode, a hundred episodes per shard.
+
+Written in whole shards by one process and never appended to; ``committed`` comes last. Source:
+zarr-specs, codec ``sharding_indexed``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from backend.config.method import SAMPLES_PER_PROBE
+from backend.exchange.exporting import Job
+from backend.exchange.extra import need
+from backend.exchange.lerobot_film import HEIGHT, WIDTH
+from backend.exchange.low_dim import FPS, PICTURES, ExportEpisode
+
+FOLDER = "episodes.zarr"
+SHARD = 100
+
+
+def write(job: Job, folder: Path) -> Mapping[str, object]:
+    """Write the episodes of ``job`` as a Zarr group in ``folder``."""
+    zarr = need("zarr")
+    count = len(job.chosen)
+    group = zarr.create_group(folder / FOLDER, zarr_format=3)
+    arrays = {}
+    for f in job.features:
+        shape = f.shape if f.constant else (SAMPLES_PER_PROBE, *f.shape)
+        arrays[f.key] = _array(zarr, group, f.key, (count, *shape), f.dtype)
+    for key in PICTURES.values() if job.pictures else ():
+        shape = (count, SAMPLES_PER_PROBE, HEIGHT, WIDTH, 3)
+        arrays[key] = _array(zarr, group, key, shape, "uint8")
+    for start, batch in _batches(job):
+        for key, array in arrays.items():
+            values = [_values(episode, key) for episode in batch]
+            array[start : start + len(batch)] = np.stack(values)
+    group.attrs["fps"] = FPS
+    group.attrs["episodes"] = [one.entry.uuid for one in job.chosen]
+    group.attrs["splits"] = [one.split for one in job.chosen]
+    group.attrs["committed"] = True
+    return {"data": "zarr v3, sharding_indexed, zstd", "shard": SHARD}
+
+
+def _batches(job: Job) -> Iterator[tuple[int, list[ExportEpisode]]]:
+    episodes, start = job.episodes(), 0
+    while batch := list(islice(episodes, SHARD)):
+        yield start, batch
+        start += len(batch)
+
+
+def _values(episode: ExportEpisode, key: str) -> Any:
+    return np.stack(episode.pictures[key]) if key in episode.pictures else episode.values[key]
+
+
+def _array(zarr: Any, group: Any, key: str, shape: tuple[int, ...], dtype: str) -> Any:
+    return group.create_array(
+        key,
+        shape=shape,
+        dtype=dtype,
+        chunks=(1, *shape[1:]),
+        shards=(SHARD, *shape[1:]),
+        compressors=zarr.codecs.ZstdCodec(level=3),
+    )

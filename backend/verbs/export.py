@@ -1,0 +1,96 @@
+"""``touchdown export``: hand episodes and labels on in a format that others read."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from backend.core.faults import InputError
+from backend.exchange.formats import EXPORTS, export_format
+from backend.runs.store import dataset_folder
+from backend.verbs.screen import Screen
+
+if TYPE_CHECKING:
+    from backend.exchange.query import ExportState
+
+NAME = "export"
+HELP = "hand episodes and labels on in a format that others read"
+JSON_VERSION = 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("format", choices=EXPORTS, help="what to write")
+    parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
+    parser.add_argument("--out", metavar="DIR", required=True, help="new folder to write")
+    for name, text in (
+        ("piece", "only this grasped piece"),
+        ("bottom", "only this bottom"),
+        ("series", "only this series"),
+        ("campaign", "only this campaign"),
+    ):
+        parser.add_argument(f"--{name}", help=text)
+    parser.add_argument(
+        "--states", default="approved", metavar="S,S",
+        help="label states: approved, submitted, draft (default: approved)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--video", choices=("sample", "all", "none"),
+        help="pictures of 20 episodes, all or none (default: sample for lerobot, else none)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--held-out", type=float, default=0.2, metavar="SHARE",
+        help="share kept from training, in whole grips or mountings (default: 0.2)",
+    )  # fmt: skip
+    parser.add_argument("--seed", type=int, default=0, help="which grips are held out")
+
+
+def run(args: argparse.Namespace, screen: Screen) -> int:
+    """Export; 0 when the folder is complete."""
+    # Imported here so that `touchdown --help` starts without SQLite and OpenCV.
+    from backend.catalogue.dataset import Dataset
+    from backend.exchange.exporting import export
+    from backend.exchange.query import ExportQuery
+
+    folder = Path(args.dataset) if args.dataset else dataset_folder()
+    query = ExportQuery(
+        args.piece, args.bottom, args.series, args.campaign, _states(args.states), args.held_out,
+        args.seed,
+    )  # fmt: skip
+    with (
+        Dataset.open(folder, create=False, write=False) as dataset,
+        screen.progress(f"Exporting to {args.format}", None) as advance,
+    ):
+        done = export(
+            dataset,
+            export_format(args.format),
+            query,
+            Path(args.out),
+            args.video,
+            lambda count, total: advance(count, total=total),
+        )
+    screen.say(f"{done.episodes} episodes are in {done.folder}.")
+    for warning in done.warnings:
+        screen.say(f"  {warning}")
+    screen.result({
+        "version": JSON_VERSION,
+        "format": args.format,
+        "out": str(done.folder),
+        "episodes": done.episodes,
+        "manifest_sha256": done.manifest_sha256,
+        "warnings": list(done.warnings),
+    })  # fmt: skip
+    return 0
+
+
+def _states(text: str) -> tuple[ExportState, ...]:
+    from backend.exchange.query import EXPORT_STATES
+
+    wanted = tuple(word.strip() for word in text.split(","))
+    chosen = tuple(state for state in EXPORT_STATES if state in wanted)
+    if len(chosen) != len(wanted):
+        raise InputError(
+            f"Labels cannot be chosen by '{text}'.", "--states", f"Use {', '.join(EXPORT_STATES)}."
+        )
+    return chosen

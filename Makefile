@@ -3,12 +3,13 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup run demo test check lint types contracts format bench screens models clean
+.PHONY: help setup run demo test check lint types contracts format bench fuzz screens models clean
 
 export PYTHON
 BIN := .venv/bin
 TESTS ?= tests
 WORKERS ?= 2
+MINUTES ?= 10
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -48,6 +49,9 @@ format: setup ## rewrite the sources in the house style
 
 bench: setup ## every promised figure next to its target
 	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.bench.run
+
+fuzz: setup ## throw damaged bytes at every wire decoder (10 min each; MINUTES=1 for less)
+	@OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz.wire --minutes $(MINUTES)
 
 screens: setup ## rewrite the screenshots in docs/img
 	@mkdir -p docs/img

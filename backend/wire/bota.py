@@ -83,9 +83,11 @@ Incoming = Frame | Reply | Boot
 def encode(message: Incoming | Request) -> bytes:
     """Return the bytes of any message of this protocol."""
     if isinstance(message, Frame):
-        body = _FIELDS.pack(
-            message.status, *message.values, message.timestamp_us, message.temperature_c
-        )
+        numbers = (*message.values, message.timestamp_us, message.temperature_c)
+        try:
+            body = _FIELDS.pack(message.status, *numbers)
+        except (struct.error, OverflowError) as error:
+            raise WireError("range", "bota frame", 1) from error
         return bytes((HEADER,)) + body + struct.pack("<H", crc16_x25(body))
     if isinstance(message, Boot):
         return _BOOT

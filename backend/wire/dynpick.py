@@ -103,9 +103,9 @@ def _take_command(data: bytes, at: int) -> Step[Command] | None:
 
 
 def encode_sensitivity(sensitivity: Sequence[float]) -> bytes:
-    """Return the 46 bytes that answer ``p``: six numbers of six digits."""
-    texts = [f"{value:.{6 - len(str(int(value))) - 1}f}"[:6] for value in sensitivity]
-    return (",".join(texts)).encode() + END
+    """Return the 46 bytes that answer ``p``."""
+    force, torque = sensitivity[:3], sensitivity[3:]
+    return ",".join([*(f"{v:.3f}" for v in force), *(f"{v:.2f}" for v in torque)]).encode() + END
 
 
 def decode_sensitivity(data: bytes) -> tuple[float, ...]:

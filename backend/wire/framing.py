@@ -63,7 +63,8 @@ def two_in_a_row(take: Take[Message], data: bytes, at: int) -> int | None:
     while place < len(data):
         first = take(data, place)
         if first is not None and first.message is not None:
-            second = take(data, place + first.length)
+            behind = place + first.length
+            second = take(data, behind) if behind < len(data) else None
             if second is not None and second.message is not None:
                 return place
         place += first.length if first is not None and first.message is None else 1

@@ -103,8 +103,11 @@ def encode(packet: Packet) -> bytes:
     """Return the frame, stuffed and checked."""
     if isinstance(packet, Nak):
         return bytes((DLE, NAK_BYTE))
-    command, code, body = _content(packet)
-    data = bytes((4 + len(body), 0xFF, command, code)) + body
+    try:
+        command, code, body = _content(packet)
+        data = bytes((4 + len(body), 0xFF, command, code)) + body
+    except (struct.error, ValueError, OverflowError) as error:
+        raise WireError("range", "leptrino frame") from error
     if len(data) > LONGEST_DATA:
         raise WireError("length", "leptrino frame", LONGEST_DATA)
     stuffed = data.replace(b"\x10", b"\x10\x10")
@@ -198,18 +201,30 @@ def _unpack(data: bytes, check: int) -> Packet:
     if not body:
         return Plain(command, code)
     try:
-        if code == 0 and command == Command.INFO and len(body) in (28, 34):
-            text = body.decode("ascii")
-            return Info(text[:16].rstrip(), text[16:24].rstrip(), text[24:28].rstrip(), text[28:])
-        if code == 0 and command == Command.RATED:
-            return Rated(_finite(struct.unpack("<6f", body)))
-        if code == 0 and command in (Command.GET_FILTER, Command.SET_FILTER):
-            return Filter(command, struct.unpack("<B3x", body)[0])
-        if code == 0 and command in (Command.READ, Command.START):
-            *counts, reserve, status = struct.unpack("<6hHBx", body)
-            return Sample(command, tuple(counts), status, reserve)
+        if code == 0:
+            return _body(command, body)
     except (struct.error, UnicodeDecodeError) as error:
         raise WireError("body", "leptrino frame", 4) from error
+    raise WireError("body", "leptrino frame", 4)
+
+
+def _body(command: int, body: bytes) -> Packet:
+    if command == Command.INFO and len(body) in (28, 34):
+        text = body.decode("ascii")
+        model, serial, firmware = (
+            part.rstrip(" ") for part in (text[:16], text[16:24], text[24:28])
+        )
+        return Info(model, serial, firmware, text[28:])
+    if command == Command.RATED:
+        return Rated(_finite(struct.unpack("<6f", body)))
+    if command in (Command.GET_FILTER, Command.SET_FILTER):
+        index, *zeros = struct.unpack("<4B", body)
+        if not any(zeros):
+            return Filter(command, index)
+    if command in (Command.READ, Command.START):
+        *counts, reserve, status, zero = struct.unpack("<6hHBB", body)
+        if not zero:
+            return Sample(command, tuple(counts), status, reserve)
     raise WireError("body", "leptrino frame", 4)
 
 

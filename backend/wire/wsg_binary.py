@@ -13,6 +13,7 @@ from typing import TypeAlias
 
 from backend.wire.checksums import crc_wsg
 from backend.wire.framing import FrameStream, Step, WireError, noise_until
+from backend.wire.wsg_layouts import NOTHING, REPLIES, REQUESTS
 from backend.wire.wsg_words import Command, Status
 
 PORT = 1000
@@ -30,45 +31,6 @@ _TEXT: dict[int, int] = {
     Command.GET_TAG: LONGEST_TAG,
 }
 """Commands whose content is bytes of any length up to this."""
-
-_UPDATE, _NOTHING = "<BH", "<"
-REQUESTS: dict[int, str] = {
-    **dict.fromkeys(Command, _NOTHING),
-    Command.HOME: "<B",
-    Command.PREPOSITION: "<Bff",
-    Command.ACKNOWLEDGE: "<3s",
-    Command.GRASP: "<ff",
-    Command.RELEASE: "<ff",
-    Command.SET_ACCELERATION: "<f",
-    Command.SET_FORCE_LIMIT: "<f",
-    Command.SET_SOFT_LIMITS: "<ff",
-    Command.OVERDRIVE: "<B",
-    Command.STATISTICS: "<B",
-    Command.SYSTEM_STATE: _UPDATE,
-    Command.GRASP_STATE: _UPDATE,
-    Command.WIDTH: _UPDATE,
-    Command.SPEED: _UPDATE,
-    Command.FORCE: _UPDATE,
-}
-"""Layout of the payload of each request."""
-
-REPLIES: dict[int, tuple[str, ...]] = {
-    **dict.fromkeys(Command, (_NOTHING,)),
-    Command.SET_ACCELERATION: (_NOTHING, "<f"),
-    Command.GET_ACCELERATION: ("<f",),
-    Command.GET_FORCE_LIMIT: ("<f",),
-    Command.GET_SOFT_LIMITS: ("<ff",),
-    Command.SYSTEM_STATE: ("<I",),
-    Command.GRASP_STATE: ("<B",),
-    Command.STATISTICS: ("<IHH",),
-    Command.WIDTH: ("<f",),
-    Command.SPEED: ("<f",),
-    Command.FORCE: ("<f",),
-    Command.TEMPERATURE: ("<h",),
-    Command.SYSTEM_INFO: ("<BBHI",),
-    Command.SYSTEM_LIMITS: ("<8f",),
-}
-"""Layouts of what follows status 0 in each reply; the manual prints 30h with a value."""
 
 Number: TypeAlias = float | int | bytes
 
@@ -161,9 +123,9 @@ def encode_reply(reply: Reply) -> bytes:
     if reply.command in _TEXT and reply.command != Command.SET_TAG and values:
         content = _only_bytes(values, reply.command)
     elif reply.status != Status.SUCCESS or not values:
-        content = _pack(_NOTHING, values)
+        content = _pack(NOTHING, values)
     else:
-        content = _pack(REPLIES.get(reply.command, (_NOTHING,))[-1], values)
+        content = _pack(REPLIES.get(reply.command, (NOTHING,))[-1], values)
     return _frame(reply.command, struct.pack("<H", reply.status) + content)
 
 
@@ -240,14 +202,14 @@ def _reply(command: int, payload: bytes) -> Reply:
         raise WireError("size", "wsg reply", 4)
     status, content = int.from_bytes(payload[:2], "little"), payload[2:]
     if status != Status.SUCCESS or not content:
-        layouts = REPLIES.get(command, (_NOTHING,))
-        needed = status == Status.SUCCESS and command not in _TEXT and _NOTHING not in layouts
+        layouts = REPLIES.get(command, (NOTHING,))
+        needed = status == Status.SUCCESS and command not in _TEXT and NOTHING not in layouts
         if content or needed:
             raise WireError("size", "wsg reply", _HEAD + 2)
         return Reply(command, status)
     if command in (Command.LOOP, Command.GET_TAG):
         return Reply(command, status, (content,))
-    values = _values(REPLIES.get(command, (_NOTHING,))[-1], content)
+    values = _values(REPLIES.get(command, (NOTHING,))[-1], content)
     if command == Command.TEMPERATURE:
         values = (float(values[0]) / 10,)
     return Reply(command, status, values)
@@ -285,7 +247,7 @@ def _request(command: int, payload: bytes) -> Incoming:
     layout = REQUESTS.get(command)
     if layout is None or command in (Command.LOOP, Command.SET_TAG):
         return Request(command, (payload,) if payload else ())
-    if payload and layout == _NOTHING:
+    if payload and layout == NOTHING:
         return Refused(command, Status.NO_PARAM_EXPECTED)
     try:
         return Request(command, _values(layout, payload))

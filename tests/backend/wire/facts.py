@@ -1,0 +1,355 @@
+"""What a decoded message says, under the field names of the vector file."""
+
+import math
+
+from backend.wire import (
+    bota,
+    leptrino,
+    melfa_r3,
+    melfa_r3_answers,
+    melfa_r3_positions,
+    optoforce,
+    robotiq_ft300,
+    wsg_binary,
+    wsg_gcl,
+)
+from backend.wire.melfa_blocks import Pose, RobotMonitor, kind_of, turns
+from backend.wire.wsg_words import Command, SystemFlag
+
+CPF = 1_000_000.0
+
+
+def _wrench(wrench):
+    return {"force_n": list(wrench.force_n), "torque_nm": list(wrench.torque_nm)}
+
+
+def _block(block):
+    facts = {"kind": kind_of(block).value}
+    if isinstance(block, Pose):
+        return facts | {"axes": list(block.axes), "flag1": block.flag1, "flag2": block.flag2}
+    if isinstance(block, RobotMonitor):
+        return facts | {
+            "tcp_speed_fb": block.speed_feedback_mm_s,
+            "remaining_fb": block.remaining_feedback_mm,
+            "tcp_speed_cmd": block.speed_command_mm_s,
+            "remaining_cmd": block.remaining_command_mm,
+            "gap": block.gap,
+            "transport_factor": block.transport_factor,
+            "accel_state": block.accelerating,
+            "step": block.step,
+            "program": block.program,
+            "temperature_c": block.temperature_c,
+            "cycle_counter": block.cycle_counter,
+        }
+    return (
+        facts if block is None else facts | {"axes": list(block.axes), "values": list(block.axes)}
+    )
+
+
+def _mxt(message, blocks, send_type):
+    signals = message.signals
+    return {
+        "command": message.command,
+        "send_type": send_type,
+        "recv_types": list(message.monitors),
+        "data": list(map(_block, blocks)),
+        "send_io_type": signals.send,
+        "recv_io_type": signals.receive,
+        "bit_top": signals.head,
+        "bit_mask": signals.mask,
+        "io_data": signals.bits,
+        "t_count": message.timeouts,
+        "c_count": message.counter,
+    }
+
+
+def mxt_request(message, vector):
+    send_type = {"none": 0, "pose": 1, "joint": 2, "pulse": 3}[kind_of(message.target).value]
+    return _mxt(message, [message.target, None, None, None], send_type)
+
+
+def mxt_reply(message, vector):
+    return _mxt(message, message.blocks, message.send_type)
+
+
+def monitor_request(message, vector):
+    return {"command": message.command, "types": list(message.types)}
+
+
+def monitor_reply(message, vector):
+    return {
+        "command": 1,
+        "types": list(message.types),
+        "input_head": message.input_head,
+        "output_head": message.output_head,
+        "input_data": message.inputs,
+        "output_data": message.outputs,
+        "counter": message.counter,
+        "data": list(map(_block, message.blocks)),
+    }
+
+
+def r3_request(message, vector):
+    return {
+        "robot": message.robot,
+        "slot": message.slot,
+        "command": message.command,
+        "argument": message.argument,
+        "arguments": list(message.arguments),
+    }
+
+
+def _opened(answer):
+    o = melfa_r3_answers.read_opened(answer)
+    names = (
+        "xyz_axes joint_axes program_ext parameter_ext robot_type controller series date version "
+        "language robot_info serial taskmax"
+    )
+    facts = {name: getattr(o, name) for name in names.split()}
+    return facts | {"flag1": o.flags[0], "flag2": o.flags[1], "jog_speeds": list(o.jog_speeds)}
+
+
+def _state(answer):
+    s = melfa_r3_answers.read_state(answer)
+    run = melfa_r3_answers.Run
+    names = "program line override edit_status error step task_program task_mode task_condition"
+    return {name: getattr(s, name) for name in [*names.split(), "task_priority"]} | {
+        "run_status": int(s.run),
+        "stop_status": int(s.stop),
+        "mech_info": s.mechanism,
+        "mech_number": s.mechanism_in_use,
+        "servo_on": run.SERVO_ON in s.run,
+        "running": run.RUNNING in s.run,
+        "operation_enabled": run.OPERATION_ENABLED in s.run,
+        "teach": run.TEACH in s.run,
+        "emergency": melfa_r3_answers.Stop.EMERGENCY in s.stop,
+    }
+
+
+def _progress(answer):
+    p = melfa_r3_answers.read_progress(answer)
+    status = {"run_status": int(p.run), "stop_status": int(p.stop)}
+    return status | {"error": p.error, "step": p.step, "mech_number": p.mechanism}
+
+
+def _axes(answer):
+    r = melfa_r3_positions.read_axes(answer)
+    turning = {name for name in r.names if name in "ABC" or name[0] == "J"}
+    axes = {
+        name: math.degrees(value) if name in turning else value
+        for name, value in zip(r.names, r.values, strict=True)
+    }
+    facts = {"axes": axes, "override": r.override, "end_speed": r.speed_mm_s}
+    facts |= {"plus_limit": r.plus_limit, "minus_limit": r.minus_limit}
+    if r.flags is not None:
+        facts |= {"flag1": r.flags[0], "flag2": r.flags[1], "multi_turn": list(turns(r.flags[1]))}
+    return facts
+
+
+def _variable(answer):
+    v = melfa_r3_positions.read_variable(answer)
+    if isinstance(v, melfa_r3_positions.Number):
+        return {"variable": v.name, "value": v.value}
+    return {"variable": v.name, "position": list(v.numbers), "flags": list(v.flags)}
+
+
+ANSWERS = {
+    "xyz_axes": _opened,
+    "edit_status": _state,
+    "run_status": _progress,
+    "end_speed": _axes,
+    "variable": _variable,
+    "override": lambda answer: {"override": melfa_r3_positions.whole(answer)},
+    "hands": lambda answer: {"hands": [list(h) for h in melfa_r3_answers.read_hands(answer)]},
+    "message": lambda answer: {"message": answer},
+    "bits": lambda answer: {"bits": melfa_r3_answers.read_bits(answer)},
+    "level": lambda answer: dict(
+        zip(("error", "level"), melfa_r3_answers.read_error(answer), strict=True)
+    ),
+    "stop_signals": lambda answer: dict(
+        zip(
+            ("stop_signals", "emergency_signals"),
+            melfa_r3_answers.read_stop_signals(answer),
+            strict=True,
+        )
+    ),
+    "origin_set": lambda answer: dict(
+        zip(("origin_set", "axes"), melfa_r3_answers.read_origin(answer), strict=True)
+    ),
+    "count": lambda answer: dict(
+        zip(("name", "value", "count"), melfa_r3_answers.read_parameter(answer), strict=True)
+    ),
+}
+
+
+def _ports(answer):
+    realtime, options = melfa_r3_answers.read_ports(answer)
+    return {"realtime_port": realtime, "option_ports": list(options)}
+
+
+ANSWERS["realtime_port"] = _ports
+
+
+def r3_reply(message: melfa_r3.Reply, vector):
+    facts = {"ok": message.ok, "alarm": message.alarm, "answer": message.answer}
+    if not message.ok:
+        return facts | {"error": message.error, "extra": message.answer.split(";")[1:]}
+    read = next((ANSWERS[key] for key in ANSWERS if key in vector["fields"]), None)
+    return facts if read is None else facts | read(message.answer)
+
+
+WSG_FIELDS = {
+    Command.HOME: ("direction",),
+    Command.PREPOSITION: ("flags", "width", "speed"),
+    Command.GRASP: ("width", "speed"),
+    Command.RELEASE: ("width", "speed"),
+    Command.SET_SOFT_LIMITS: ("minus", "plus"),
+    Command.SET_ACCELERATION: ("value",),
+    Command.SET_FORCE_LIMIT: ("value",),
+}
+WSG_REPLY_FIELDS = {
+    Command.SYSTEM_STATE: ("flags",),
+    Command.GRASP_STATE: ("state",),
+    Command.STATISTICS: ("total", "no_part", "lost_part"),
+    Command.SYSTEM_INFO: ("type", "hw_rev", "sw_rev", "serial"),
+    Command.SYSTEM_LIMITS: (
+        "stroke",
+        "min_speed",
+        "max_speed",
+        "min_acc",
+        "max_acc",
+        "min_force",
+        "nom_force",
+        "ovr_force",
+    ),
+}
+UPDATES = {Command.SYSTEM_STATE, Command.GRASP_STATE, *range(Command.WIDTH, Command.FORCE + 1)}
+
+
+def wsg_request(message: wsg_binary.Request, vector):
+    facts = {"id": message.command, "length": vector["fields"].get("length")}
+    assert bytes.fromhex(vector["hex"])[4] == facts["length"]
+    if message.command in UPDATES:
+        flags, period_ms = message.values
+        return facts | {
+            "auto": bool(flags & 1),
+            "on_change": bool(flags & 2),
+            "period_ms": period_ms,
+        }
+    if message.command == Command.ACKNOWLEDGE:
+        return facts | {"key": message.values[0].decode()}
+    if message.command == Command.STATISTICS:
+        return facts | {"reset": bool(message.values[0])}
+    if message.command not in WSG_FIELDS:
+        return facts | {"payload": b"".join(message.values).hex()}
+    return facts | dict(zip(WSG_FIELDS[message.command], message.values, strict=True))
+
+
+def wsg_reply(message: wsg_binary.Reply, vector):
+    facts = {"id": message.command, "length": vector["fields"].get("length")}
+    facts["status"] = message.status
+    if message.command == Command.SYSTEM_STATE:
+        facts["flag_names"] = [f.name for f in SystemFlag if message.values[0] & f]
+    if message.command == Command.LOOP:
+        return facts | {"payload": message.values[0].hex()}
+    names = WSG_REPLY_FIELDS.get(message.command, ("value",)) if message.values else ()
+    return facts | dict(zip(names, message.values, strict=True))
+
+
+def gcl(message: wsg_gcl.Line, vector):
+    match message:
+        case wsg_gcl.Call(command, arguments):
+            return {"command": command, "arguments": list(arguments)}
+        case wsg_gcl.Query(name):
+            return {"query": name}
+        case wsg_gcl.Assignment(name, value):
+            plain = list(value) if isinstance(value, tuple) else value
+            return {"name": name, "set": name, "value": plain}
+        case wsg_gcl.Answer(kind, command):
+            return {"kind": kind, "command": command}
+        case wsg_gcl.Failure(command, code):
+            return {"kind": "ERR", "command": command, "code": code}
+
+
+def dynpick_record(message, vector):
+    sensitivity = vector["fields"]["sensitivity"]
+    facts = {"tick": message.tick, "raw": list(message.counts), "sensitivity": sensitivity}
+    return facts | _wrench(message.wrench(sensitivity))
+
+
+def leptrino_packet(message: leptrino.Packet, vector):
+    if isinstance(message, leptrino.Nak):
+        return {"nak": True}
+    body = leptrino.encode(message)[2:-3].replace(b"\x10\x10", b"\x10")
+    facts = {"length": len(body), "command": body[2], "code": body[3], "body": body.hex()}
+    match message:
+        case leptrino.Info(model, serial, firmware):
+            facts |= {"type": model, "serial": serial, "firmware": firmware}
+        case leptrino.Rated(loads):
+            facts |= {"rated": list(loads)}
+        case leptrino.Filter(_, index):
+            facts |= {"filter": index}
+        case leptrino.Sample(_, counts, status, reserve):
+            rated = vector["fields"]["rated"]
+            facts |= {"raw": list(counts), "status": status, "reserve": reserve, "rated": rated}
+            facts |= _wrench(message.wrench(rated))
+    return facts
+
+
+def ft300(message, vector):
+    facts = {"slave": 9}
+    match message:
+        case robotiq_ft300.Stop():
+            return {"jam_length": 50}
+        case robotiq_ft300.Sample(counts):
+            return {"raw": list(counts)} | _wrench(message.wrench())
+        case robotiq_ft300.Read(register, count):
+            return facts | {"function": 3, "register": register, "count": count}
+        case robotiq_ft300.WriteOne(register, value):
+            return facts | {"function": 6, "register": register, "values": [value]}
+        case robotiq_ft300.WriteMany(register, values):
+            return facts | {"function": 16, "register": register, "values": list(values)}
+        case robotiq_ft300.Written(register, count):
+            return facts | {"function": 16, "register": register, "count": count}
+        case robotiq_ft300.Registers(values):
+            return facts | {"function": 3, "values": list(values)} | _wrench(message.wrench())
+
+
+def bota_message(message, vector):
+    match message:
+        case bota.Boot():
+            return {"boot": True}
+        case bota.Reply(command, code):
+            return {"reply_to": command, "code": code}
+        case bota.Request(command, arguments):
+            return {"command": command, "arguments": list(arguments)}
+    forces, torques = list(message.values[:3]), list(message.values[3:])
+    facts = {"status": message.status, "timestamp_us": message.timestamp_us}
+    facts |= {"temperature_c": message.temperature_c, "force_n": forces, "torque_nm": torques}
+    return facts
+
+
+def optoforce_message(message, vector):
+    if isinstance(message, optoforce.Config):
+        return {"speed": message.speed, "filter": message.filter, "zero": message.zero}
+    if isinstance(message, optoforce.Ack):
+        return {"status": message.status}
+    facts = {"count": message.count, "status": message.status, "raw": list(message.counts)}
+    facts |= {"daq": message.daq, "sensor": message.sensor, "overload": list(message.overload)}
+    facts |= {"multiple": message.several, "sensor_number": message.sensor_number}
+    if "scale" in vector["fields"]:
+        scale = vector["fields"]["scale"]
+        facts |= {"scale": scale, "force_n": message.scaled([1.0] * len(scale), scale)}
+    return facts
+
+
+def rdt_request(message, vector):
+    return {"header": 0x1234, "command": message.command, "count": message.count}
+
+
+def rdt_record(message, vector):
+    (record,) = message
+    facts = {"rdt_sequence": record.rdt_sequence, "ft_sequence": record.ft_sequence}
+    facts |= {"status": record.status, "counts": list(record.counts)}
+    facts |= {"counts_per_force": CPF, "counts_per_torque": CPF}
+    return facts | _wrench(record.wrench(CPF, CPF))

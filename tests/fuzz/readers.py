@@ -1,0 +1,68 @@
+"""Decoders outside the streams: texts of answers, pages, names; looked at for crashes and hangs."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from backend.wire import dynpick, gelsight_name, melfa_r3_answers, melfa_r3_positions, net_ft
+from tests.backend.wire.codecs import Codec
+from tests.backend.wire.vectors import VECTORS
+
+PAGE = (
+    b"<netft><scfgfu>N</scfgfu><scfgtu>N-m</scfgtu><cfgcpf>1000000</cfgcpf>"
+    b"<cfgcpt>1000000</cfgcpt></netft>"
+)
+
+
+@dataclass(frozen=True)
+class Reader:
+    codec: Codec
+    seeds: tuple[bytes, ...]
+
+
+def _vectors(*starts: str) -> tuple[bytes, ...]:
+    return tuple(bytes.fromhex(v["hex"]) for n, v in VECTORS.items() if n.startswith(starts))
+
+
+def _answer(read: Callable[[str], Any]) -> Reader:
+    answers = tuple(
+        bytes.fromhex(v["hex"])[3:]
+        for v in VECTORS.values()
+        if v["device"] == "melfa-r3" and v["direction"] == "device-to-pc"
+    )
+    return Reader(Codec(None, datagram=lambda data: read(data.decode("latin-1"))), answers)
+
+
+def _plain(read: Callable[[bytes], Any], *seeds: bytes) -> Reader:
+    return Reader(Codec(None, datagram=read), seeds)
+
+
+_R3 = (
+    melfa_r3_answers.read_opened,
+    melfa_r3_answers.read_state,
+    melfa_r3_answers.read_progress,
+    melfa_r3_answers.read_error,
+    melfa_r3_answers.read_hands,
+    melfa_r3_answers.read_stop_signals,
+    melfa_r3_answers.read_parameter,
+    melfa_r3_answers.read_bits,
+    melfa_r3_answers.read_origin,
+    melfa_r3_answers.read_ports,
+    melfa_r3_positions.read_axes,
+    melfa_r3_positions.read_variable,
+)
+READERS: dict[tuple[str, str], Reader] = {
+    **{("r3-answer", read.__name__): _answer(read) for read in _R3},
+    ("dynpick-answer", "sensitivity"): _plain(
+        dynpick.decode_sensitivity, *_vectors("dynpick-sensitivity-reply")
+    ),
+    ("dynpick-answer", "temperature"): _plain(
+        dynpick.decode_temperature, *_vectors("dynpick-temperature-reply")
+    ),
+    ("dynpick-answer", "filter"): _plain(dynpick.decode_filter, *_vectors("dynpick-filter-reply")),
+    ("netft-answer", "calibration"): _plain(
+        net_ft.decode_calibration, *_vectors("netft-tcp-calibration-reply")
+    ),
+    ("netft-answer", "page"): _plain(net_ft.decode_page, PAGE),
+    ("gelsight-mini", "name"): _plain(gelsight_name.decode, *_vectors("gelsight")),
+}

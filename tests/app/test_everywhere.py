@@ -105,7 +105,7 @@ def test_no_slot_takes_long_while_a_run_goes_on(busy_desk):
         session.advance()
         if ticks % 2 == 0:
             timed("tick", main.pump.tick)
-            QApplication.processEvents()
+            timed("paint", QApplication.processEvents)
         if ticks % 100 == 50:
             names = list(main.workspaces)
             timed("page", lambda names=names, k=ticks: main.go(names[k // 100 % len(names)]))

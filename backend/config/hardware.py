@@ -1,0 +1,230 @@
+"""Facts about real devices that no source confirms: a lab corrects them here, not in the code.
+
+Drivers and emulators read the same settings. ``docs/hardware.md`` lists each with its reason.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator
+
+from backend.config.method import NonNegative, Positive, Settings
+
+Port = Annotated[int, Field(ge=1, le=65535)]
+Share = Annotated[float, Field(gt=0, le=1)]
+U16 = Annotated[int, Field(ge=0, le=0xFFFF)]
+Count = Annotated[int, Field(ge=1)]
+Six = tuple[Positive, Positive, Positive, Positive, Positive, Positive]
+Row = tuple[float, float, float]
+
+PLACEHOLDERS = ("melfa.mxt.error_overspeed", "melfa.mxt.error_timeout", "melfa.r3.error_unknown")
+"""Settings whose default is made up: shown as such until the lab has put in its own number."""
+
+CONTROL_NAMES: dict[str, tuple[str, ...]] = {
+    "white_balance_auto": ("white_balance_automatic", "white_balance_temperature_auto"),
+    "exposure_auto": ("auto_exposure", "exposure_auto"),
+    "exposure": ("exposure_time_absolute", "exposure_absolute"),
+    "exposure_priority": ("exposure_dynamic_framerate", "exposure_auto_priority"),
+}
+"""Names of camera controls in older and newer kernels."""
+
+
+class MonitorSettings(Settings):
+    """Real-time monitor of the controller; off while no data type number is known."""
+
+    port: Port = 12000
+    type_force: U16 | None = None
+    type_robmon: U16 | None = None
+    type_pose: U16 | None = None
+    type_joint: U16 | None = None
+
+
+class MxtSettings(Settings):
+    """Real-time external control."""
+
+    position_type: Literal[0, 1, 2] = 1
+    send_type_must_match: bool = True
+    ends_on_servo_off: bool = True
+    mxttout: Annotated[int, Field(ge=-1)] = -1
+    error_overspeed: U16 = 9901
+    error_timeout: U16 = 9902
+    step_fraction: Share = 0.5
+    lost_limit: Count = 100
+    start_timeout_s: Positive = 3.0
+
+
+class R3Settings(Settings):
+    """Command channel."""
+
+    error_unknown: U16 = 9903
+    reply_terminator: Literal["same", "none", "cr", "crlf"] = "same"
+    reply_gap_ms: Positive = 30.0
+
+
+class ForceControlSettings(Settings):
+    """The controller's force control."""
+
+    limited_stiffness_mode: Annotated[int, Field(ge=0, le=9)] = 3
+    off_on_reset: bool = True
+    damping: NonNegative = 0.0
+    frame: Literal[0, 1] = 1
+
+
+class ForceSensorSettings(Settings):
+    """The controller's own force sensor."""
+
+    rated_n: Positive = 200.0
+    rated_nm: Positive = 4.0
+
+
+class MelfaSettings(Settings):
+    """Arm and controller."""
+
+    euler: Literal["Rz(C) Ry(B) Rx(A)", "Rx(A) Ry(B) Rz(C)"] = "Rz(C) Ry(B) Rx(A)"
+    flags: tuple[Count, Count, Count] = (4, 2, 1)
+    """Bits of Right, Above, NonFlip in the first structure flag."""
+    mxt_in_fsc: bool = False
+    servo_delay_s: NonNegative = 2.0
+    servo_timeout_s: Positive = 10.0
+    override_start: Annotated[int, Field(ge=1, le=100)] = 10
+    force_variable_text: str = r"P_FsCurD=\((.+)\)\([0-9]+,[0-9]+\)"
+    """Regular expression of the answer; its one group holds the six numbers."""
+    probe_force_limit_n: Positive = 30.0
+    probe_margin_s: Positive = 2.0
+    monitor: MonitorSettings = MonitorSettings()
+    mxt: MxtSettings = MxtSettings()
+    r3: R3Settings = R3Settings()
+    fsc: ForceControlSettings = ForceControlSettings()
+    fs: ForceSensorSettings = ForceSensorSettings()
+
+    @field_validator("flags")
+    @classmethod
+    def _three_different_bits(cls, bits: tuple[int, int, int]) -> tuple[int, int, int]:
+        if sorted(bits) != [1, 2, 4]:
+            raise ValueError("name the bits 4, 2 and 1, each once")
+        return bits
+
+    @field_validator("force_variable_text")
+    @classmethod
+    def _one_group(cls, text: str) -> str:
+        try:
+            groups = re.compile(text).groups
+        except re.error as error:
+            raise ValueError(f"no regular expression: {error}") from error
+        if groups != 1:
+            raise ValueError("needs exactly one group, around the six numbers")
+        return text
+
+
+class WsgSettings(Settings):
+    """Gripper; the ranges count only if the gripper does not tell its own."""
+
+    protocol: Literal["binary", "gcl"] = "binary"
+    stroke_mm: Positive = 66.0
+    speed_min: Positive = 5.0
+    speed_max: Positive = 400.0
+    force_min_n: Positive = 5.0
+    force_max_n: Positive = 50.0
+    force_convention: Literal["device", "finger"] = "device"
+    """What the gripper takes: "device" the sum over both fingers, "finger" each."""
+    bad_crc_reply: Literal["CHECKSUM_ERROR", "none"] = "CHECKSUM_ERROR"
+    temperature: Literal["i16, 0.1 degC"] = "i16, 0.1 degC"
+    grasp_force_parameter: Literal[False] = False
+    keeps_grip_after_07: bool = True
+    gcl_autosend_third: Literal["true", "false"] = "true"
+    update_ms: Annotated[int, Field(ge=1, le=1000)] = 50
+    margin_s: Positive = 1.0
+
+
+class ForceTorqueSettings(Settings):
+    """Which wrist sensor, and how it sits."""
+
+    driver: Literal["melfa", "dynpick", "leptrino", "ft300", "bota", "optoforce", "netft"] = "melfa"
+    rotation: tuple[Row, Row, Row] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    """Sensor to tool."""
+    sign: Literal[1, -1] = 1
+    """1: force on the sensor, -1: force by the sensor."""
+
+    @field_validator("rotation")
+    @classmethod
+    def _is_a_rotation(cls, rows: tuple[Row, Row, Row]) -> tuple[Row, Row, Row]:
+        for i, first in enumerate(rows):
+            for j, second in enumerate(rows):
+                product = sum(a * b for a, b in zip(first, second, strict=True))
+                if not abs(product - (i == j)) < 1e-6:
+                    raise ValueError("the rows are not at right angles and of length 1")
+        x, y, z = rows
+        if (
+            x[0] * (y[1] * z[2] - y[2] * z[1])
+            + x[1] * (y[2] * z[0] - y[0] * z[2])
+            + x[2] * (y[0] * z[1] - y[1] * z[0])
+            < 0
+        ):
+            raise ValueError("this is a reflection, not a rotation")
+        return rows
+
+
+class DynpickSettings(Settings):
+    """WACOH-TECH Dynpick."""
+
+    sensitivity: Six = (65.47, 65.44, 65.08, 1638.5, 1639.25, 1640.75)
+    """Counts per N and per N·m of a WEF-6A200."""
+    tick_step: Annotated[int, Field(ge=1, le=9)] = 1
+    max_step: Count = 2000
+    saturation: tuple[U16, U16] = (0, 0x3FFF)
+
+
+class OptoforceSettings(Settings):
+    """OptoForce and OnRobot HEX: both from the data sheet of the very sensor."""
+
+    counts: Six | None = None
+    capacity: Six | None = None
+
+
+class SerialSettings(Settings):
+    """USB serial adapters."""
+
+    latency_ms: NonNegative = 16.0
+
+
+class BotaSettings(Settings):
+    """Bota SensONE."""
+
+    quiet_in_config: bool = True
+
+
+class NetftSettings(Settings):
+    """Net F/T."""
+
+    onrobot: bool = False
+    """10 000 counts per N and 100 000 per N·m, and the two commands below."""
+    onrobot_commands: tuple[U16, U16] = (0x82, 0x83)
+    """Filter and speed."""
+
+
+class GelsightSettings(Settings):
+    """GelSight Mini."""
+
+    crop_fraction: Annotated[float, Field(ge=0, lt=0.5)] = 0.15
+    mm_per_px_x: Positive = 0.0581
+    mm_per_px_y: Positive = 0.0596
+    buffer_size: Count = 1
+    control_names: dict[str, tuple[str, ...]] = CONTROL_NAMES
+    """Names of each camera control; the first that exists is set."""
+    keep_jpeg: bool = True
+
+
+class HardwareSettings(Settings):
+    """All of them, one table of the bench file per device."""
+
+    melfa: MelfaSettings = MelfaSettings()
+    wsg: WsgSettings = WsgSettings()
+    ft: ForceTorqueSettings = ForceTorqueSettings()
+    dynpick: DynpickSettings = DynpickSettings()
+    optoforce: OptoforceSettings = OptoforceSettings()
+    serial: SerialSettings = SerialSettings()
+    bota: BotaSettings = BotaSettings()
+    netft: NetftSettings = NetftSettings()
+    gelsight: GelsightSettings = GelsightSettings()

@@ -239,7 +239,9 @@ def _take_request(data: bytes, at: int) -> Step[Incoming] | None:
     try:
         payload = _payload(frame)
     except WireError:
-        return Step(size, Refused(command, Status.CHECKSUM_ERROR), refused=True)
+        inner = data.find(PREAMBLE, at + 1, at + size)
+        length = size if inner < 0 else inner - at  # noise may have promised too much
+        return Step(length, Refused(command, Status.CHECKSUM_ERROR), refused=True)
     return Step(size, _request(command, payload))
 
 

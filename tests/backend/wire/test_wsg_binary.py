@@ -61,6 +61,13 @@ def test_a_bad_crc_is_answered_and_counted():
     assert decoder.bad_in_a_row == 0
 
 
+def test_a_false_header_in_one_segment_costs_no_request():
+    noise = b"\xaa\xaa\xaa\x06\x40\x00"
+    requests = [wsg_binary.grasp(20, 30), *[wsg_binary.Request(Command.STOP)] * 9]
+    out = wsg_binary.requests().feed(noise + b"".join(map(wsg_binary.encode_request, requests)))
+    assert [m for m in out if isinstance(m, wsg_binary.Request)] == requests
+
+
 def test_an_unknown_command_reaches_the_gripper():
     request = wsg_binary.Request(0x90, (b"\x01\x02",))
     assert wsg_binary.requests().feed(wsg_binary.encode_request(request)) == [request]

@@ -11,6 +11,7 @@ from threading import RLock
 from typing import Any
 
 from backend.catalogue.chain import canonical
+from backend.catalogue.migration import migrate
 from backend.catalogue.schema import APPLICATION_ID, SCHEMA_VERSION, statements
 from backend.core.faults import Fault, FaultError, InputError, RefusedError
 
@@ -22,16 +23,18 @@ Row = tuple[Any, ...]
 class Database:
     """Rows of one catalogue, shared by threads: every call takes the lock for its own length.
 
-    Commits are durable when ``transaction`` ends (WAL, synchronous FULL).
+    Commits are durable when ``transaction`` ends (WAL, synchronous FULL). ``migrated_from``: the
+    schema that opening found and brought to the present one, or 0.
     """
 
     def __init__(self, connection: sqlite3.Connection, path: Path, *, writable: bool) -> None:
         self._connection, self.path, self.writable = connection, path, writable
+        self.migrated_from = 0
         self._lock = RLock()
 
     @classmethod
     def open(cls, path: Path, *, write: bool) -> Database:
-        """Open or (to write) make the catalogue ``path``.
+        """Open or (to write) make the catalogue ``path``; an older one is brought up to date.
 
         A catalogue of a newer program opens for reading only (``writable`` is False). Raises
         ``InputError`` for a file that is no catalogue, or is not there.
@@ -45,6 +48,11 @@ class Database:
             found = _examine(connection, path)
             if write and found == 0:
                 _create(connection)
+            older = found if write and 0 < found < SCHEMA_VERSION else 0
+            if older:
+                connection.close()
+                migrate(path)
+                connection = _connect(path, mode)
         except (sqlite3.Error, InputError) as error:
             if connection is not None:
                 connection.close()
@@ -54,7 +62,9 @@ class Database:
         writable = write and found <= SCHEMA_VERSION
         if not writable:
             connection.execute("PRAGMA query_only = ON")
-        return cls(connection, path, writable=writable)
+        database = cls(connection, path, writable=writable)
+        database.migrated_from = older
+        return database
 
     @property
     def schema_version(self) -> int:

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Self
 
@@ -24,8 +23,10 @@ from backend.catalogue.labels import LabelBook
 from backend.catalogue.local_disk import refuse_network
 from backend.catalogue.merge import Merged
 from backend.catalogue.packs import read_packed
+from backend.catalogue.program import program
 from backend.catalogue.recovery import reconcile
 from backend.catalogue.review import check_person
+from backend.catalogue.runs import RunBook
 from backend.catalogue.schema import SCHEMA_VERSION
 from backend.catalogue.scores import Scores
 from backend.catalogue.uuid7 import uuid7
@@ -83,6 +84,7 @@ class Dataset:
         self.journal = Journal(folder / "labels")
         self.labels = LabelBook(database, self.journal, description.site)
         self.scores = Scores(database)
+        self.runs = RunBook(folder, database, self.labels.chain_heads)
         self.backups = Backups(database, folder / "backup")
         self.backup_trouble = ""
         self.labels.after_commit = partial(self._back_up, self.backups.hourly)
@@ -127,6 +129,11 @@ class Dataset:
             found = reconcile(self.store)
             self.labels.frozen = " ".join(finding.said for finding in found if finding.locks)
             self.notices = sentences(found)
+            if self.database.migrated_from:
+                self.notices += (
+                    f"The catalogue was of schema {self.database.migrated_from}: it was brought up "
+                    "to date on a copy; the former one is in quarantine.",
+                )
         elif self._lock is not None:
             self.notices = (
                 "The catalogue was written by a newer version of Touchdown: open for reading only.",
@@ -270,7 +277,7 @@ def _describe(folder: Path) -> Description:
     home = f"{socket.gethostname()}:{folder.resolve()}"
     path = folder / DESCRIPTION
     if not path.is_file():
-        found = Description(uuid7(), uuid7(), home, SCHEMA_VERSION, f"touchdown {_version()}")
+        found = Description(uuid7(), uuid7(), home, SCHEMA_VERSION, program())
     else:
         found = read_description(folder)
         if found.home == home:
@@ -293,10 +300,3 @@ def read_description(folder: Path) -> Description:
         raise InputError(
             "The description of the dataset cannot be read.", str(path), "Restore it from a copy."
         ) from error
-
-
-def _version() -> str:
-    try:
-        return version("touchdown")
-    except PackageNotFoundError:
-        return "(not installed)"

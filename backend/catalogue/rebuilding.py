@@ -36,7 +36,7 @@ COMPARED = {
     " keep_frames, state",
 }
 """Tables that follow from the files and the journal, by their columns (``adopted`` differs)."""
-CARRIED = ("event", "score", "suggestion")
+CARRIED = ("event", "score", "suggestion", "run", "param", "metric", "artifact", "schema_migration")
 GONE = "state IN ('missing', 'quarantined', 'damaged')"
 
 

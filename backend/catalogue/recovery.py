@@ -19,6 +19,8 @@ from backend.catalogue.findings import Finding, Store
 from backend.catalogue.packs import check_packs
 from backend.catalogue.raw_files import check_files
 from backend.catalogue.replay import check_labels
+from backend.catalogue.run_check import check_runs
+from backend.catalogue.run_rows import follow
 from backend.catalogue.values import PROGRAM
 from backend.core.faults import InputError
 
@@ -30,6 +32,7 @@ LEFT_OVERS = (
     ("geometry", ".*.part"),
     (".", ".*.tmp"),
     (".", ".*.part"),
+    ("runs/*", ".*.part"),
     (".", ".rebuilt.db*"),
 )
 """What a crash may leave of files that are made again anyway."""
@@ -48,6 +51,7 @@ def examine(where: Store, *, whole: bool = False) -> Iterator[Finding]:
     yield from check_labels(where, whole=whole)
     yield from check_files(where, whole=whole)
     yield from check_packs(where, whole=whole)
+    yield from check_runs(where)
     yield from _left_overs(where)
 
 
@@ -55,11 +59,17 @@ def reconcile(where: Store, *, whole: bool = False) -> list[Finding]:
     """Mend what ``examine`` finds; returns what there is to say, each also kept as an event."""
     told: list[Finding] = []
     # Labels come first: an episode whose label is in the journal must not get a second one.
-    for check in (check_labels(where, whole=whole), check_files(where, whole=whole),
-                  check_packs(where, whole=whole), _left_overs(where)):  # fmt: skip
+    for check in (
+        check_labels(where, whole=whole),
+        check_files(where, whole=whole),
+        check_packs(where, whole=whole),
+        check_runs(where),
+        _left_overs(where),
+    ):
         found = list(check)
         for start in range(0, len(found), TOGETHER):
             told += _mended(where, found[start : start + TOGETHER])
+    follow(where.folder, where.database)
     for site in _sites(where):
         with where.database.transaction() as connection:
             where.journal.catch_up(connection, site)

@@ -9,7 +9,7 @@ without firing delete triggers, so a trigger before the insert has to find the k
 from __future__ import annotations
 
 APPLICATION_ID = 0x546F7563
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 TABLES = """
 CREATE TABLE series (
@@ -90,6 +90,52 @@ CREATE TABLE suggestion (
 ) WITHOUT ROWID;
 """
 
+RUNS = """
+CREATE TABLE run (
+    uuid TEXT PRIMARY KEY, kind TEXT NOT NULL,
+    state TEXT NOT NULL CHECK (state IN
+        ('queued', 'running', 'finished', 'failed', 'cancelled', 'interrupted')),
+    started_ns INTEGER NOT NULL, ended_ns INTEGER, reason TEXT NOT NULL, program TEXT NOT NULL,
+    seed INTEGER NOT NULL, hardware TEXT NOT NULL, environment TEXT NOT NULL,
+    manifest TEXT NOT NULL, chain TEXT NOT NULL, mark TEXT NOT NULL, read_bytes INTEGER NOT NULL
+) WITHOUT ROWID;
+CREATE INDEX run_started ON run (started_ns);
+CREATE TABLE param (
+    run TEXT NOT NULL REFERENCES run (uuid), key TEXT NOT NULL, value TEXT NOT NULL,
+    PRIMARY KEY (run, key)
+) WITHOUT ROWID;
+CREATE TABLE metric (
+    run TEXT NOT NULL REFERENCES run (uuid), name TEXT NOT NULL, step INTEGER NOT NULL,
+    value REAL, at_ns INTEGER NOT NULL, PRIMARY KEY (run, name, step)
+) WITHOUT ROWID;
+CREATE TABLE artifact (
+    run TEXT NOT NULL REFERENCES run (uuid), name TEXT NOT NULL, path TEXT NOT NULL,
+    sha256 TEXT NOT NULL, bytes INTEGER NOT NULL, PRIMARY KEY (run, name)
+) WITHOUT ROWID;
+CREATE VIEW plan_item AS
+    SELECT e.campaign, e.plan_item AS item, e.uuid AS episode, e.piece, e.bottom, e.recorded_ns,
+        e.accepted AND NOT h.deleted AS done
+    FROM episode e JOIN label_head h ON h.episode = e.uuid
+    WHERE e.campaign != '' AND e.plan_item IS NOT NULL;
+CREATE VIEW campaign AS
+    SELECT campaign AS uuid, min(piece) AS piece, min(bottom) AS bottom,
+        min(recorded_ns) AS began_ns, max(recorded_ns) AS last_ns, count(*) AS episodes,
+        count(DISTINCT CASE WHEN done THEN item END) AS done
+    FROM plan_item GROUP BY campaign;
+CREATE TABLE schema_migration (
+    from_version INTEGER NOT NULL, to_version INTEGER PRIMARY KEY, at_ns INTEGER NOT NULL,
+    program TEXT NOT NULL
+) WITHOUT ROWID;
+"""
+"""Of a run its folder is the truth, of a campaign its file: these say the same to queries.
+
+``mark`` and ``read_bytes``: which state of the run's files the rows show. A campaign needs no rows
+of its own: what is done of it is what its episodes are.
+"""
+
+STEPS = {1: RUNS}
+"""What brings a catalogue of each older schema to the next one."""
+
 KEYS = {
     "op": "op_uuid = NEW.op_uuid OR (site = NEW.site AND seq = NEW.seq)",
     "label_rev": "rev_uuid = NEW.rev_uuid",
@@ -101,9 +147,9 @@ KEYS = {
 
 
 def statements() -> str:
-    """Return everything a new catalogue needs."""
+    """Return everything a new catalogue needs: the first schema and all steps since."""
     guards = "".join(_guards(table, key) for table, key in KEYS.items())
-    return TABLES + guards
+    return TABLES + guards + "".join(STEPS.values())
 
 
 def _guards(table: str, key: str) -> str:

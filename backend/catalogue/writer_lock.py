@@ -54,11 +54,9 @@ class WriterLock:
     @classmethod
     def take(cls, folder: Path, person: str = "") -> Self:
         """Lock ``folder`` for ``person``; raises ``DatasetInUseError`` naming the holder."""
-        descriptor = os.open(folder / NAME, os.O_RDWR | os.O_CREAT, 0o644)
         try:
-            _lock(descriptor)
-        except OSError:
-            os.close(descriptor)
+            descriptor = lock_file(folder / NAME)
+        except BlockingIOError:
             raise DatasetInUseError(folder, holder(folder)) from None
         now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S")
         me = Writer(person or _account(), os.getpid(), socket.gethostname(), now)
@@ -70,6 +68,20 @@ class WriterLock:
         """Give the right back. The file stays: removing it would let two writers in."""
         os.ftruncate(self._descriptor, 0)
         os.close(self._descriptor)
+
+
+def lock_file(path: Path) -> int:
+    """Lock ``path`` (made if need be) until the returned descriptor is closed.
+
+    Raises ``BlockingIOError`` if it is locked already.
+    """
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        _lock(descriptor)
+    except OSError as error:
+        os.close(descriptor)
+        raise BlockingIOError(f"{path} is locked") from error
+    return descriptor
 
 
 def holder(folder: Path) -> Writer | None:

@@ -1,0 +1,31 @@
+"""What a dataset holds of each campaign, read from its episodes.
+
+The plan itself is in the file of the campaign.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from backend.catalogue.database import Database
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignEntry:
+    """One campaign: items done (accepted and not deleted) and all its episodes. Times are UTC."""
+
+    uuid: str
+    piece: str
+    bottom: str
+    began_ns: int
+    last_ns: int
+    episodes: int
+    done: int
+
+
+def list_campaigns(database: Database) -> list[CampaignEntry]:
+    """Return the campaigns that have episodes, the newest last; none in an older catalogue."""
+    if database.schema_version < 2:
+        return []
+    sql = "SELECT uuid, piece, bottom, began_ns, last_ns, episodes, done FROM campaign"
+    return [CampaignEntry(*row) for row in database.rows(f"{sql} ORDER BY began_ns")]

@@ -31,7 +31,8 @@ LABEL_CHOICES: tuple[LabelChoice, ...] = get_args(LabelChoice)
 
 _QUERY = """
 SELECT e.uuid, e.sha256, e.path, e.chunk_off, e.chunk_len, e.piece, e.bottom, e.grip_id,
-    e.mounting_id, r.rev_uuid, r.x_um, r.y_um, r.theta_mdeg, r.sigma_um, r.source, r.geometry
+    e.mounting_id, e.mode, r.rev_uuid, r.x_um, r.y_um, r.theta_mdeg, r.sigma_um, r.source,
+    r.geometry
 FROM episode e JOIN label_head h ON h.episode = e.uuid
 JOIN label_rev r ON r.rev_uuid = {revision}
 WHERE e.state = 'complete' AND e.accepted AND NOT h.conflict AND NOT h.deleted
@@ -56,6 +57,7 @@ class Labelled:
     bottom: str
     grip_id: str
     mounting_id: str
+    mode: str
 
 
 def is_dataset(folder: Path) -> bool:
@@ -113,12 +115,12 @@ def labelled(database: Database, labels: LabelChoice) -> list[Labelled]:
 
 
 def _labelled(row: Sequence[Any]) -> Labelled:
-    uuid, sha256, path, offset, length, piece, bottom, grip, mounting = row[:9]
-    revision, x_um, y_um, theta_mdeg, sigma_um, source, pair = row[9:]
+    uuid, sha256, path, offset, length, piece, bottom, grip, mounting, mode = row[:10]
+    revision, x_um, y_um, theta_mdeg, sigma_um, source, pair = row[10:]
     chunk = None if offset is None else (offset, length)
     cached = CacheRow(uuid, sha256, revision, path, chunk, x_um, y_um, pair)
     label = Label(x_um, y_um, theta_mdeg, sigma_um)
-    return Labelled(cached, label, source, piece, bottom, grip, mounting)
+    return Labelled(cached, label, source, piece, bottom, grip, mounting, mode)
 
 
 def _of_one_piece(
@@ -184,4 +186,7 @@ def _facts(e: Labelled) -> dict[str, object]:
         "bottom": e.bottom,
         "grip_id": e.grip_id,
         "mounting_id": e.mounting_id,
+        "mode": e.mode,
+        "file": e.row.path,
+        "file_sha256": e.row.sha256,
     }

@@ -16,6 +16,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
 
+from backend.config.bench_facts import BenchFacts
 from backend.config.method import SAMPLES_PER_PROBE
 from backend.core.faults import InputError
 from backend.core.files import write_atomically
@@ -67,6 +68,13 @@ class Card(BaseModel):
     weights_sha256: str
     licence: str = "Apache-2.0"
     simulated: bool = True
+    """Whether all training data came from a simulated bench."""
+    benches: tuple[BenchFacts, ...] = ()
+    """The benches that the training data came from, as far as the data tell."""
+    grid_mm: float = 1.0
+    """Pitch of the face points."""
+    manifest_sha256: str = ""
+    """Names the training set: every episode, its file, its label revision and its side."""
 
 
 @dataclass(frozen=True, slots=True)

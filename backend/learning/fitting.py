@@ -12,12 +12,22 @@ from importlib.metadata import PackageNotFoundError, version
 import torch
 
 from backend.catalogue.training_set import is_dataset, load_training_set
+from backend.config.bench_facts import BenchFacts
 from backend.config.method import StabilitySettings
 from backend.core.faults import InputError
+from backend.core.files import write_atomically
 from backend.dataset.rows import TrainingRows, load_rows
 from backend.learning.checkpoint import Card, Sizes, save_checkpoint
 from backend.learning.job import Cancelled, Epoch, Finished, Loaded, TrainingJob
+from backend.learning.origin import (
+    MANIFEST,
+    benches_of,
+    manifest_digest,
+    manifest_of,
+    only_simulated,
+)
 from backend.learning.resume import forget_state, load_state, resume_path, save_state
+from backend.learning.samples import bottom_figures, choose_samples, save_samples
 from backend.learning.shape import ARCH
 from backend.learning.training import Trainer, fingerprint
 
@@ -58,7 +68,13 @@ def fit(job: TrainingJob, tell: Tell, cancelled: Callable[[], bool]) -> None:
             "learning_rate",
             "Choose a smaller --learning-rate.",
         )
-    card = save_checkpoint(job.out, trainer.best_model().arrays(), card_of(rows, trainer, data))
+    probability = trainer.predict_held_out()
+    card = card_of(rows, trainer, data, benches_of(job.data, rows))
+    card = _with_bottoms(card, bottom_figures(rows, trainer.split.held_out, probability))
+    if job.keep is not None:
+        write_atomically(job.keep / MANIFEST, manifest_of(rows, trainer.split))
+        save_samples(job.keep, choose_samples(rows, trainer.split.held_out, probability))
+    card = save_checkpoint(job.out, trainer.best_model().arrays(), card)
     forget_state(state)
     best = trainer.best_figures
     tell(
@@ -92,7 +108,14 @@ def _loaded(rows: TrainingRows, trainer: Trainer) -> Loaded:
     )
 
 
-def card_of(rows: TrainingRows, trainer: Trainer, data: str) -> Card:
+def _with_bottoms(card: Card, figures: dict[str, dict[str, float]]) -> Card:
+    validation = {**card.metrics["validation"], "bottoms": figures}
+    return card.model_copy(update={"metrics": {**card.metrics, "validation": validation}})
+
+
+def card_of(
+    rows: TrainingRows, trainer: Trainer, data: str, benches: tuple[BenchFacts, ...] = ()
+) -> Card:
     """Return the card of a finished training; ``data`` is the fingerprint of ``rows``."""
     settings, best = trainer.settings, trainer.best_figures
     sources = sorted({str(label.get("source")) for label in rows.labels})
@@ -125,6 +148,9 @@ def card_of(rows: TrainingRows, trainer: Trainer, data: str) -> Card:
         seed=settings.seed,
         program_version=_version(),
         weights_sha256="",
+        simulated=only_simulated(rows),
+        benches=benches,
+        manifest_sha256=manifest_digest(manifest_of(rows, trainer.split)),
     )
 
 

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 from backend.catalogue.training_set import LabelChoice
 from backend.config.method import TrainingSettings
+from backend.learning.metrics import ReliabilityBin
 
 
 class Message(BaseModel):
@@ -29,6 +30,8 @@ class TrainingJob(Message):
     settings: TrainingSettings
     labels: LabelChoice = "approved"
     resume: bool = False
+    keep: Path | None = None
+    """Folder that takes the manifest of the training set and sample predictions, if any."""
     threads: Annotated[int, Field(ge=1, le=64)] = 1
     """Two threads beside other work wait for each other: measured, 9 times the processor time."""
 
@@ -58,6 +61,7 @@ class Epoch(Message):
     iou: float
     point_accuracy: float
     best_epoch: int
+    reliability: tuple[ReliabilityBin, ...] = ()
 
 
 class Finished(Message):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -56,6 +57,31 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     half = Z_95 * math.sqrt(share * (1 - share) / trials + z2 / (4 * trials**2))
     half /= 1 + z2 / trials
     return max(0.0, centre - half), min(1.0, centre + half)
+
+
+ReliabilityBin = tuple[float, float, int]
+"""Mean predicted probability, share of points truly in contact, number of points."""
+
+
+def reliability(
+    probability: NDArray[np.floating], truth: Bits, bins: int = 10
+) -> tuple[ReliabilityBin, ...]:
+    """Return the filled ones of equal ``bins`` of ``probability`` (n, N), rising."""
+    p = np.asarray(probability, dtype=np.float64).ravel()
+    index = np.minimum((p * bins).astype(np.int64), bins - 1)
+    count = np.bincount(index, minlength=bins)
+    predicted = np.bincount(index, p, minlength=bins)
+    hit = np.bincount(index, truth.ravel(), minlength=bins)
+    return tuple(
+        (float(predicted[k] / count[k]), float(hit[k] / count[k]), int(count[k]))
+        for k in np.flatnonzero(count).tolist()
+    )
+
+
+def calibration_error(bins: Sequence[ReliabilityBin]) -> float:
+    """Return the expected calibration error: mean distance of prediction and share, by points."""
+    total = sum(count for _, _, count in bins)
+    return sum(count * abs(p - share) for p, share, count in bins) / max(total, 1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from backend.config.method import TrainingSettings
 from backend.dataset.rows import TrainingRows
 from backend.dataset.splits import Split, split_rows
 from backend.learning.features import columns, fit_in_parts
-from backend.learning.metrics import LEVEL, iou, point_accuracy
+from backend.learning.metrics import LEVEL, ReliabilityBin, iou, point_accuracy, reliability
 from backend.learning.model import PatchNet, new_model
 from backend.learning.shape import Shape
 
@@ -27,7 +27,10 @@ PART = 4096
 
 @dataclass(frozen=True, slots=True)
 class EpochReport:
-    """One finished epoch; ``epoch`` counts from 1. Losses are mean BCE per point (nats)."""
+    """One finished epoch; ``epoch`` counts from 1. Losses are mean BCE per point (nats).
+
+    All but ``train_loss`` are measured on the validation side.
+    """
 
     epoch: int
     epochs: int
@@ -36,6 +39,7 @@ class EpochReport:
     iou: float
     point_accuracy: float
     best_epoch: int
+    reliability: tuple[ReliabilityBin, ...]
 
 
 def fingerprint(rows: TrainingRows) -> str:
@@ -96,6 +100,13 @@ class Trainer:
         model.load_state_dict(self.best_state)
         return model.eval()
 
+    def predict_held_out(self) -> NDArray[np.float32]:
+        """(n, N) probabilities of the kept weights for the validation side."""
+        parts = in_parts(self.split.held_out)
+        model = self.best_model()
+        logits = [predict_logits(model, self._inputs(index)) for index in parts]
+        return np.asarray(torch.sigmoid(torch.cat(logits)).numpy(), dtype=np.float32)
+
     def _train_epoch(self, cancelled: Callable[[], bool]) -> float | None:
         rng = np.random.default_rng([self.settings.seed, self.done])
         order = rng.permutation(self.split.train)
@@ -125,7 +136,8 @@ class Trainer:
         parts = [predict_logits(model, self._inputs(index)) for index in in_parts(held_out)]
         logits, targets = torch.cat(parts), self._targets[held_out]
         loss = float(bce(logits, targets))
-        predicted = torch.sigmoid(logits).numpy() > LEVEL
+        probability = torch.sigmoid(logits).numpy()
+        predicted = probability > LEVEL
         truth = targets.numpy() > LEVEL
         figures = (iou(predicted, truth), point_accuracy(predicted, truth))
         if loss < self.best_loss or self.settings.keep == "last":
@@ -138,6 +150,7 @@ class Trainer:
             loss,
             *figures,
             self.best_epoch,
+            reliability(probability, truth),
         )
 
     def _inputs(self, index: NDArray[np.int64]) -> Tensor:

@@ -71,6 +71,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     # Imported here so that `touchdown --help` starts without torch.
     from backend.learning.child import TrainingProcess
     from backend.learning.job import Cancelled, Epoch, Finished, Loaded, TrainingJob
+    from backend.learning.run_record import note, recorded
 
     settings = {
         "modality": args.modality,
@@ -90,11 +91,15 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     }
     curve: list[dict[str, object]] = []
     answer: dict[str, object] = {"version": JSON_VERSION}
+    asked = parse(TrainingJob, job, "arguments")
     with (
-        TrainingProcess(parse(TrainingJob, job, "arguments")) as training,
+        recorded(asked, screen.say) as record,
+        TrainingProcess(asked) as training,
         screen.progress(f"Training {args.piece or 'model'}", args.epochs) as advance,
     ):
         for report in training.reports():
+            if record is not None:
+                note(record, report)
             match report:
                 case Loaded():
                     screen.say(
@@ -110,7 +115,8 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
                     )
                     advance(report.epoch, words)
                     screen.say(f"epoch {report.epoch:3d}/{report.epochs}  {words}")
-                    curve.append(report.model_dump(mode="json", exclude={"kind", "epochs"}))
+                    exclude = {"kind", "epochs", "reliability"}
+                    curve.append(report.model_dump(mode="json", exclude=exclude))
                 case Finished():
                     screen.say(
                         f"{report.out}: epoch {report.best_epoch}, validation IoU "
@@ -121,6 +127,8 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
                 case Cancelled():
                     screen.say(f"Cancelled after epoch {report.done}; go on with --resume.")
                     answer |= {"cancelled": True, "done": report.done}
+    if record is not None:
+        answer["run"] = record.uuid
     screen.result({**answer, "curve": curve})
     return 1 if "cancelled" in answer else 0
 

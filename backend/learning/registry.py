@@ -1,0 +1,168 @@
+"""Which model of each piece is in use: a history that only grows, and copies of the models.
+
+``<folder>/in-use.jsonl`` has one line per change; the weights lie in ``<folder>/<piece>/`` under
+their hash, so that training anew over a file changes nothing that is in use.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import threading
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from backend.core.faults import InputError
+from backend.core.files import sync_folder, write_atomically
+from backend.learning.checkpoint import Card, load_card, load_checkpoint, save_card
+
+HISTORY, EVALUATIONS = "in-use.jsonl", "hardware.jsonl"
+SHIPPED = ""
+"""Stands for the model that ships, where no other was ever put in use."""
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclass(frozen=True, slots=True)
+class Use:
+    """One change. ``weights_sha256`` is in use since; ``run`` is the training that made it."""
+
+    piece: str
+    action: Literal["promote", "roll back"]
+    weights_sha256: str
+    at_ns: int
+    person: str = ""
+    run: str = ""
+
+
+class Registry:
+    """The models in use. Reads the files anew at every question: others may change them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._lock = threading.Lock()
+
+    def in_use(self, piece: str) -> Path | None:
+        """Return the weights in use for ``piece``; None means the model that ships."""
+        sha256 = self._stack(piece)[-1]
+        return None if sha256 == SHIPPED else self._weights(piece, sha256)
+
+    def before(self, piece: str) -> str | None:
+        """Return the hash that a roll back puts in use ("": the shipped one); None: nothing."""
+        stack = self._stack(piece)
+        return stack[-2] if len(stack) > 1 else None
+
+    def history(self, piece: str | None = None) -> list[Use]:
+        """Return all changes, oldest first; raises ``InputError`` for a damaged line."""
+        uses = [_use(line, self.folder / HISTORY) for line in _lines(self.folder / HISTORY)]
+        return [use for use in uses if piece is None or use.piece == piece]
+
+    def promote(self, model: Path, person: str = "", run: str = "") -> Use:
+        """Check ``model``, copy it and put it in use for its piece; in use already: no change."""
+        card = load_checkpoint(model).card
+        with self._lock:
+            if self._stack(card.piece)[-1] == card.weights_sha256:
+                return self.history(card.piece)[-1]
+            copy = self._weights(card.piece, card.weights_sha256)
+            write_atomically(copy, model.read_bytes())
+            save_card(copy, card)
+            return self._append(Use(card.piece, "promote", card.weights_sha256, 0, person, run))
+
+    def roll_back(self, piece: str, person: str = "") -> Use:
+        """Put the model before in use again; raises ``InputError`` if there is none."""
+        with self._lock:
+            before = self.before(piece)
+            if before is None:
+                raise InputError(
+                    f"The model of '{piece}' was never changed.",
+                    str(self.folder / HISTORY),
+                    "Promote another model first.",
+                )
+            return self._append(Use(piece, "roll back", before, 0, person))
+
+    def note_hardware(self, weights_sha256: str, probes: int, iou: float, accuracy: float) -> None:
+        """Keep that a model was evaluated on ``probes`` of a real bench."""
+        line = {"weights_sha256": weights_sha256, "probes": probes, "iou": iou,
+                "point_accuracy": accuracy, "at_ns": time.time_ns()}  # fmt: skip
+        with self._lock:
+            _append_line(self.folder / EVALUATIONS, line)
+
+    def hardware_probes(self, weights_sha256: str) -> int:
+        """Return on how many hardware probes at once a model was evaluated (the most)."""
+        lines = _lines(self.folder / EVALUATIONS)
+        counts = [e.get("probes") for e in lines if e.get("weights_sha256") == weights_sha256]
+        return max((n for n in counts if isinstance(n, int)), default=0)
+
+    def card(self, piece: str) -> Card | None:
+        """Return the card of the model in use, None for the shipped one."""
+        path = self.in_use(piece)
+        return None if path is None else load_card(path)
+
+    def _weights(self, piece: str, sha256: str) -> Path:
+        return self.folder / piece / f"{sha256}.safetensors"
+
+    def _stack(self, piece: str) -> list[str]:
+        """Return what was in use and could be again, the present one last."""
+        stack = [SHIPPED]
+        for use in self.history(piece):
+            if use.action == "promote":
+                stack.append(use.weights_sha256)
+            elif len(stack) > 1:
+                stack.pop()
+        return stack
+
+    def _append(self, use: Use) -> Use:
+        line = {**asdict(use), "at_ns": time.time_ns()}
+        _append_line(self.folder / HISTORY, line)
+        return _use(line, self.folder / HISTORY)
+
+
+def _append_line(path: Path, line: dict[str, Any]) -> None:
+    """Append a line durably; a torn line before it is ended first, and then passed over."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(line, sort_keys=True, ensure_ascii=False).encode() + b"\n"
+    with path.open("a+b") as file:
+        if file.tell():
+            file.seek(-1, os.SEEK_END)
+            text = text if file.read(1) == b"\n" else b"\n" + text
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    sync_folder(path.parent)
+
+
+def _lines(path: Path) -> list[dict[str, Any]]:
+    """Return the whole lines; what a crash tore is no JSON object and is passed over."""
+    if not path.is_file():
+        return []
+    found = []
+    for raw in path.read_bytes().splitlines():
+        try:
+            line = json.loads(raw)
+        except ValueError:
+            continue
+        if isinstance(line, dict):
+            found.append(line)
+    return found
+
+
+def _use(line: dict[str, Any], path: Path) -> Use:
+    try:
+        use = Use(**line)
+    except TypeError as error:
+        raise _damaged(path) from error
+    known = use.weights_sha256 == SHIPPED or _SHA256.fullmatch(use.weights_sha256)
+    plain = re.fullmatch(r"[\w.-]+", use.piece) and not use.piece.startswith(".")
+    if not known or not plain or use.action not in ("promote", "roll back"):
+        raise _damaged(path)
+    return use
+
+
+def _damaged(path: Path) -> InputError:
+    return InputError(
+        "The history of models in use is damaged.",
+        str(path),
+        "Move the file away: the shipped models are used until another is promoted.",
+    )

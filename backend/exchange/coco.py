@@ -208,7 +208,9 @@ def _iou(corners_mm: FloatArray, label: Label, pair: Pair, dataset: Dataset) -> 
     turn = 1.0 if _doubled_area(corners_mm) > 0.0 else -1.0
     away = points[:, None, :] - corners_mm
     cross = turn * (along[:, 0] * away[..., 1] - along[:, 1] * away[..., 0])
-    drawn = (cross >= -EDGE_MM * np.hypot(along[:, 0], along[:, 1])).all(axis=1)
+    depth_mm = (cross / np.maximum(np.hypot(along[:, 0], along[:, 1]), EDGE_MM)).min(axis=1)
+    # The rounding of corners may move the edge: points so near to it prove nothing.
+    drawn = np.where(np.abs(depth_mm) < EDGE_MM, touching, depth_mm > 0.0)
     union = int((drawn | touching).sum())
     return int((drawn & touching).sum()) / union if union else 1.0
 

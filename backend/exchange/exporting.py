@@ -17,7 +17,8 @@ from backend.catalogue.recording import NO_ROOM
 from backend.core.faults import Fault, FaultError, InputError
 from backend.core.files import sync_folder, write_atomically
 from backend.exchange import low_dim, manifest
-from backend.exchange.low_dim import ExportEpisode, Feature
+from backend.exchange.features import Feature, features
+from backend.exchange.low_dim import ExportEpisode
 from backend.exchange.query import Chosen, ExportQuery, Selection, select
 
 PARTIAL = ".partial"
@@ -105,7 +106,7 @@ def _job(dataset: Dataset, chosen_format: Format, selection: Selection) -> Job:
     if not chosen_format.signals:
         return Job(dataset, chosen, (), False, False, lambda done: None)
     native = low_dim.have_recordings(dataset, chosen)
-    listed = low_dim.features(low_dim.face_points(dataset, chosen), native=native)
+    listed = features(low_dim.face_points(dataset, chosen), native=native)
     return Job(dataset, chosen, listed, native, False, lambda done: None)
 
 

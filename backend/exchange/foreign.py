@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import IO
 
@@ -30,17 +30,21 @@ def read_foreign(
     Raises ``InputError`` for a file that is damaged, foreign, or not read within the deadline.
     """
     command = [sys.executable, "-m", "backend.exchange.foreign_child", kind, str(source.resolve())]
-    with tempfile.TemporaryDirectory(prefix="touchdown-import-") as folder:
+    with (
+        tempfile.TemporaryDirectory(prefix="touchdown-import-") as folder,
+        tempfile.TemporaryFile() as said,
+    ):
         child = subprocess.Popen(
             [*command, folder], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL, cwd=Path(__file__).parents[2],
+            stderr=said, cwd=Path(__file__).parents[2],
         )  # fmt: skip
         assert child.stdout is not None
         lines: queue.Queue[bytes] = queue.Queue()
         listener = threading.Thread(target=_listen, args=(child.stdout, lines), daemon=True)
         listener.start()
         try:
-            yield from _episodes(lines, source, deadline_s)
+            if not (yield from _episodes(lines, source, deadline_s)):
+                raise _crashed(source, said)
         finally:
             child.kill()
             child.wait()
@@ -56,7 +60,8 @@ def _listen(stream: IO[bytes], lines: queue.Queue[bytes]) -> None:
 
 def _episodes(
     lines: queue.Queue[bytes], source: Path, deadline_s: float
-) -> Iterator[ForeignEpisode]:
+) -> Generator[ForeignEpisode, None, bool]:
+    """Yield the episodes; return whether the reader came to the end."""
     while True:
         try:
             line = lines.get(timeout=deadline_s)
@@ -73,9 +78,14 @@ def _episodes(
             path.unlink()
         elif "error" in answer:
             raise InputError(answer["error"], answer["where"] or str(source), answer["fix"])
-        elif "done" in answer:
-            return
         else:
-            raise InputError(
-                "The reader crashed on this file.", str(source), "It is damaged; use another copy."
-            )
+            return "done" in answer
+
+
+def _crashed(source: Path, said: IO[bytes]) -> InputError:
+    said.seek(0)
+    lines = said.read()[-2000:].decode("utf-8", "replace").splitlines()
+    last = f" ({lines[-1]})" if lines else ""
+    return InputError(
+        f"The reader crashed on this file{last}.", str(source), "It is damaged; use another copy."
+    )

@@ -13,10 +13,12 @@ from typing import Any
 
 from backend.core.flow import ImageArray
 from backend.exchange.extra import need
-from backend.exchange.low_dim import FPS
+from backend.exchange.features import FPS
 
 VIDEO_MB = 200
-CODEC: dict[str, object] = {"codec": "h264", "crf": 10, "gop": 10, "pix_fmt": "yuv444p"}
+CODEC: dict[str, object] = {
+    "codec": "h264", "crf": 10, "gop": 10, "pix_fmt": "yuv444p", "preset": "veryfast",
+}  # fmt: skip
 HEIGHT, WIDTH = 240, 320
 CHUNK_FILES = 1000
 
@@ -91,7 +93,8 @@ class Film:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._container = need("av").open(str(path), "w")
         # One thread, so that the same pictures give the same file.
-        options = {"crf": str(CODEC["crf"]), "g": str(CODEC["gop"]), "threads": "1"}
+        options = {name: str(CODEC[name]) for name in ("crf", "preset")}
+        options |= {"g": str(CODEC["gop"]), "threads": "1"}
         stream = self._container.add_stream("libx264", rate=FPS, options=options)
         stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, CODEC["pix_fmt"]
         stream.time_base = Fraction(1, FPS)

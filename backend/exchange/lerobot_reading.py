@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from backend.core.faults import InputError
 from backend.exchange.extra import need
+from backend.exchange.features import PICTURES
 from backend.exchange.foreign_episode import ForeignEpisode
-from backend.exchange.low_dim import PICTURES
 
 VERSIONS = ("v3.0", "v2.1")
 PREFIXES = ("observation.", "action", "label.")

@@ -17,8 +17,9 @@ import numpy as np
 from backend.config.method import SAMPLES_PER_PROBE
 from backend.exchange.exporting import Job
 from backend.exchange.extra import need
+from backend.exchange.features import FPS, PICTURES, Feature
 from backend.exchange.lerobot_film import CODEC, VIDEO_MB, Film
-from backend.exchange.low_dim import FPS, PICTURES, ExportEpisode, Feature
+from backend.exchange.low_dim import ExportEpisode
 from backend.exchange.running_stats import RunningStats
 
 CODEBASE = "v3.0"

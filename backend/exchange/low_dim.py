@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,28 +27,22 @@ from backend.core.flow import (
 from backend.dataset.contents import read_first
 from backend.dataset.episode_file import to_ns
 from backend.dataset.film_reading import FilmedEpisode, Pictures, read_film
+from backend.exchange.features import (
+    ACTION,
+    FPS,
+    FT,
+    FT_WINDOW,
+    MARKERS,
+    OFFSET,
+    PATCH,
+    PICTURES,
+    STATE,
+    TICK_NS,
+    WINDOW,
+    Feature,
+    Values,
+)
 from backend.exchange.query import Chosen
-
-FPS = 10
-TICK_NS = 1_000_000_000 // FPS
-WINDOW = 100
-"""Wrench samples per tick: 1 kHz."""
-MARKERS, FT, FT_WINDOW = "observation.markers", "observation.ft", "observation.ft_window"
-STATE, ACTION = "observation.state", "action"
-OFFSET, PATCH = "label.offset_mm", "label.patch"
-PICTURES = {"left": "observation.images.tac_left", "right": "observation.images.tac_right"}
-Values = NDArray[Any]
-
-
-@dataclass(frozen=True, slots=True)
-class Feature:
-    """One named array: ``shape`` per tick, or once per episode where it is ``constant``."""
-
-    key: str
-    dtype: str
-    shape: tuple[int, ...]
-    constant: bool = False
-    names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,26 +57,6 @@ class ExportEpisode:
         """(20, ...) of ``feature``, repeated where it is constant."""
         values = self.values[feature.key]
         return np.repeat(values[None], SAMPLES_PER_PROBE, axis=0) if feature.constant else values
-
-
-POSE_NAMES = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
-FT_NAMES = ("fx_n", "fy_n", "fz_n", "tx_nm", "ty_nm", "tz_nm")
-
-
-def features(points: int, *, native: bool) -> tuple[Feature, ...]:
-    """Return the features of episodes with ``points`` face points; ``native``: with recordings."""
-    recorded = (
-        Feature(FT_WINDOW, "float32", (WINDOW, WRENCH_CHANNELS)),
-        Feature(STATE, "float32", (7,), names=POSE_NAMES),
-        Feature(ACTION, "float32", (7,), names=POSE_NAMES),
-    )
-    return (
-        Feature(MARKERS, "float32", (TACTILE_CHANNELS,)),
-        Feature(FT, "float32", (WRENCH_CHANNELS,), names=FT_NAMES),
-        *(recorded if native else ()),
-        Feature(OFFSET, "float32", (2,), constant=True, names=("x", "y")),
-        Feature(PATCH, "uint8", (points,), constant=True),
-    )
 
 
 def face_points(dataset: Dataset, chosen: Iterable[Chosen]) -> int:

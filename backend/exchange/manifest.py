@@ -19,7 +19,7 @@ from backend.catalogue.raw_files import digest
 from backend.catalogue.schema import SCHEMA_VERSION
 from backend.core.faults import InputError
 from backend.core.files import write_atomically
-from backend.exchange.low_dim import FPS, Feature
+from backend.exchange.features import FPS, Feature
 from backend.exchange.query import Chosen, ExportQuery, Selection
 
 NAME = "manifest.json"

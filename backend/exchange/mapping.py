@@ -20,8 +20,7 @@ from backend.core.flow import (
     Recording,
     TactileFrame,
 )
-from backend.exchange.foreign_episode import ForeignEpisode
-from backend.exchange.low_dim import (
+from backend.exchange.features import (
     FPS,
     FT,
     FT_WINDOW,
@@ -32,6 +31,7 @@ from backend.exchange.low_dim import (
     TICK_NS,
     WINDOW,
 )
+from backend.exchange.foreign_episode import ForeignEpisode
 
 FRAME_SHAPE = (240, 320, 3)
 MAX_OFFSET_MM = 1000.0

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from backend.config.method import SAMPLES_PER_PROBE
 from backend.exchange.exporting import Job
 from backend.exchange.extra import need
-from backend.exchange.low_dim import ACTION, FPS, OFFSET, PATCH, PICTURES, ExportEpisode, Feature
+from backend.exchange.features import ACTION, DEMOS, FPS, OFFSET, PATCH, PICTURES, Feature
+from backend.exchange.low_dim import ExportEpisode
 
-FILE = "demos.hdf5"
 GYM = 2
 ENVIRONMENT = "Touchdown"
 ACTION_SIZE = 7
@@ -30,7 +30,7 @@ def write(job: Job, folder: Path) -> Mapping[str, object]:
     h5py = need("h5py")
     greatest = 0.0
     sides: dict[str, list[str]] = {}
-    with h5py.File(folder / FILE, "w") as file:
+    with h5py.File(folder / DEMOS, "w") as file:
         data = file.create_group("data")
         for episode in job.episodes():
             one = episode.chosen

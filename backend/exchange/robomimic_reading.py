@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from backend.core.faults import InputError
 from backend.exchange.extra import need
+from backend.exchange.features import ACTION, DEMOS, OFFSET, PATCH, PICTURES
 from backend.exchange.foreign_episode import ForeignEpisode
-from backend.exchange.low_dim import ACTION, OFFSET, PATCH, PICTURES
-from backend.exchange.robomimic import FILE
 
 MAX_VALUES = 50_000_000
 """Of one array: more than any probe has, so a damaged shape is not allocated."""
@@ -22,7 +21,7 @@ MAX_VALUES = 50_000_000
 
 def read(source: Path) -> Iterator[ForeignEpisode]:
     """Yield the demos by number."""
-    path = source / FILE if source.is_dir() else source
+    path = source / DEMOS if source.is_dir() else source
     if not path.is_file():
         raise InputError("There is no such file.", str(path), "Name the HDF5 file.")
     with need("h5py").File(path, "r") as file:

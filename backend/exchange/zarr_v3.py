@@ -16,8 +16,9 @@ import numpy as np
 from backend.config.method import SAMPLES_PER_PROBE
 from backend.exchange.exporting import Job
 from backend.exchange.extra import need
+from backend.exchange.features import FPS, PICTURES
 from backend.exchange.lerobot_film import HEIGHT, WIDTH
-from backend.exchange.low_dim import FPS, PICTURES, ExportEpisode
+from backend.exchange.low_dim import ExportEpisode
 
 FOLDER = "episodes.zarr"
 SHARD = 100
@@ -26,6 +27,15 @@ SHARD = 100
 def write(job: Job, folder: Path) -> Mapping[str, object]:
     """Write the episodes of ``job`` as a Zarr group in ``folder``."""
     zarr = need("zarr")
+    try:
+        _write(zarr, job, folder)
+    finally:
+        # It keeps threads for the next call; there may never be one.
+        need("zarr.core.sync").cleanup_resources()
+    return {"data": "zarr v3, sharding_indexed, zstd", "shard": SHARD}
+
+
+def _write(zarr: Any, job: Job, folder: Path) -> None:
     count = len(job.chosen)
     group = zarr.create_group(folder / FOLDER, zarr_format=3)
     arrays = {}
@@ -43,7 +53,6 @@ def write(job: Job, folder: Path) -> Mapping[str, object]:
     group.attrs["episodes"] = [one.entry.uuid for one in job.chosen]
     group.attrs["splits"] = [one.split for one in job.chosen]
     group.attrs["committed"] = True
-    return {"data": "zarr v3, sharding_indexed, zstd", "shard": SHARD}
 
 
 def _batches(job: Job) -> Iterator[tuple[int, list[ExportEpisode]]]:

@@ -1,0 +1,92 @@
+"""A small dataset with recordings, pictures, several grips and labels in every state."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.uuid7 import uuid7
+from backend.catalogue.values import Label
+from backend.core.flow import FINGERS, Episode, EpisodeQuality, Recording, TactileFrame
+from backend.exchange.exporting import Exported, Video, export
+from backend.exchange.formats import export_format
+from backend.exchange.query import ExportQuery
+from tests.backend.catalogue.conftest import context_for
+
+GOOD = EpisodeQuality(True, (), 0, 0.0, 0, 5.0, 0.0)
+Hand = Callable[..., Exported]
+
+
+def picture(rng: np.random.Generator) -> np.ndarray:
+    """A smooth picture with round dots, as a gel looks: coarse noise enlarged."""
+    coarse = rng.integers(60, 200, (8, 10, 3)).astype(np.uint8)
+    return np.ascontiguousarray(coarse.repeat(30, axis=0).repeat(32, axis=1))
+
+
+def recorded_episode(seed: int, frames: bool = True) -> Episode:
+    rng = np.random.default_rng(seed)
+    onset_s = 1.25 + seed / 1e4 + 1e-7
+    wrench_t_s = np.round(0.9 + 0.001 * np.arange(2600), 6) + seed / 1e4
+    pose_t_s = np.round(0.9 + 0.01 * np.arange(260), 6) + seed / 1e4
+    films = [
+        TactileFrame(finger, k, 1.0 + 0.1 * k + seed / 1e4, picture(rng))
+        for k in range(24)
+        for finger in FINGERS
+    ]
+    recording = Recording(
+        wrench_t_s, rng.normal(size=(2600, 6)), (), tuple(films) if frames else (), pose_t_s,
+        rng.normal(scale=20.0, size=(260, 3)), np.zeros(6),
+    )  # fmt: skip
+    observation = rng.normal(size=(20, 258)).astype(np.float32)
+    return Episode(uuid7(), "pot", observation, np.zeros(2), onset_s, GOOD, recording)
+
+
+def fill(dataset: Dataset, count: int = 6, frames: bool = True) -> list[str]:
+    """Two episodes per grip; cleo records, ann submits all but the last, bob approves four."""
+    context = context_for(dataset)
+    made = []
+    for k in range(count):
+        grip = replace(context, grip_id=f"grip-{k // 2}", mounting_id="mounting-1")
+        label = Label(1000 * k - 2501, 137 * k, 12 * k, 150)
+        entry = dataset.record(recorded_episode(k, frames), label, source="measured", context=grip)
+        made.append(entry.uuid)
+    for uuid in made[:-1]:
+        dataset.labels.accept("ann", uuid)
+    for uuid in made[:4]:
+        dataset.labels.approve("bob", uuid)
+    return made
+
+
+@pytest.fixture(scope="session")
+def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("filled") / "data"
+    with Dataset.open(folder, person="cleo") as opened:
+        fill(opened)
+    return folder
+
+
+@pytest.fixture
+def dataset(filled: Path, tmp_path: Path) -> Iterator[Dataset]:
+    shutil.copytree(filled, tmp_path / "data")
+    with Dataset.open(tmp_path / "data", person="cleo") as opened:
+        yield opened
+
+
+@pytest.fixture
+def hand(dataset: Dataset, tmp_path: Path) -> Hand:
+    """Export all labels of the dataset (or ``of``) to a new folder."""
+
+    def make(
+        name: str, out: str = "", of: Dataset | None = None, video: Video | None = "none",
+        query: ExportQuery | None = None,
+    ) -> Exported:  # fmt: skip
+        wanted = query or ExportQuery(states=("approved", "submitted", "draft"), held_out=0.4)
+        return export(of or dataset, export_format(name), wanted, tmp_path / (out or name), video)
+
+    return make

@@ -1,0 +1,191 @@
+"""What is chosen, what the manifest says of it, and that half an export never looks complete."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zarr
+from zarr.core.sync import cleanup_resources
+
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.values import Label
+from backend.core.faults import FaultError, InputError
+from backend.exchange import exporting
+from backend.exchange.exporting import export
+from backend.exchange.formats import EXPORTS, export_format
+from backend.exchange.importing import Import, ImportWish
+from backend.exchange.query import ExportQuery, select
+from tests.backend.catalogue.conftest import context_for, small_episode
+from tests.backend.catalogue.test_packs_in_datasets import write_pack
+from tests.backend.exchange.conftest import Hand, recorded_episode
+from tests.backend.exchange.test_round_trip import manifest_of
+
+
+@pytest.mark.parametrize("kind", EXPORTS)
+def test_the_same_query_gives_the_same_manifest(kind: str, hand: Hand) -> None:
+    one, two = (manifest_of(hand(kind, out).folder) for out in ("one", "two"))
+    assert one.pop("created_ns") < two.pop("created_ns")
+    assert one == two
+    assert one["files"]
+
+
+@pytest.mark.parametrize("kind", EXPORTS)
+def test_the_manifest_names_every_file_by_its_hash(kind: str, hand: Hand) -> None:
+    out = hand(kind).folder
+    listed = {file["path"]: file["sha256"] for file in manifest_of(out)["files"]}
+    files = [path for path in out.rglob("*") if path.is_file() and path.name != "manifest.json"]
+    assert listed == {
+        path.relative_to(out).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in files
+    }
+
+
+def test_the_manifest_says_where_it_comes_from(dataset: Dataset, hand: Hand) -> None:
+    content = manifest_of(hand("lerobot").folder)
+    assert content["dataset_uuid"] == dataset.description.uuid
+    assert content["site_heads"] == dataset.labels.chain_heads()
+    assert content["label_states"] == {"approved": 4, "draft": 1, "submitted": 1}
+    assert content["label_sources"] == {"measured": 6}
+    for episode in content["episodes"]:
+        assert episode["file_sha256"] == dataset.entry(episode["uuid"]).sha256
+        assert episode["rev_uuid"] == dataset.labels.head(episode["uuid"]).rev_uuid
+    numbers = sorted(k for side in content["splits"].values() for k in side)
+    assert numbers == list(range(6))
+
+
+def test_grips_stay_on_one_side(dataset: Dataset) -> None:
+    query = ExportQuery(states=("approved", "submitted", "draft"), held_out=0.4)
+    chosen = select(dataset, query).chosen
+    grips = {side: {o.entry.grip_id for o in chosen if o.split == side}
+             for side in ("train", "held_out")}  # fmt: skip
+    assert grips["train"]
+    assert grips["held_out"]
+    assert not grips["train"] & grips["held_out"]
+
+
+def test_states_choose_and_the_approved_label_counts(dataset: Dataset) -> None:
+    everything = [entry.uuid for entry in dataset.episodes()]
+    chosen = select(dataset, ExportQuery()).chosen
+    assert {o.entry.uuid for o in chosen} == set(everything[:4])
+    before = dataset.labels.head(everything[0])
+    dataset.labels.set("ann", everything[0], Label(7, 7, 0, 9))
+    chosen = select(dataset, ExportQuery()).chosen
+    found = {o.entry.uuid: o.revision.rev_uuid for o in chosen}
+    assert found[everything[0]] == before.rev_uuid
+    dataset.labels.reject("bob", everything[4], "tilt")
+    dataset.labels.delete("bob", everything[1], "test")
+    selection = select(dataset, ExportQuery(states=("approved", "submitted")))
+    assert {o.entry.uuid for o in selection.chosen} == {everything[k] for k in (0, 2, 3)}
+    assert "1 episodes are left out: its label is rejected." in selection.warnings
+
+
+def test_nothing_to_hand_on_says_why(tmp_path: Path) -> None:
+    with Dataset.open(tmp_path / "d") as dataset:
+        episode = small_episode(accepted=False)
+        context = context_for(dataset)
+        dataset.record(episode, Label(1, 2, 0, 3), source="commanded", context=context)
+        with pytest.raises(InputError, match="failed its quality checks"):
+            select(dataset, ExportQuery(states=("draft",)))
+
+
+def test_two_faces_need_a_piece(dataset: Dataset, hand: Hand) -> None:
+    barrel = replace(recorded_episode(50), piece="barrel")
+    context = context_for(dataset, "barrel")
+    dataset.record(barrel, Label(1, 2, 0, 3), source="measured", context=context)
+    with pytest.raises(InputError, match="--piece"):
+        hand("zarr")
+    query = ExportQuery(piece="pot", states=("approved", "draft"))
+    assert hand("zarr", query=query).episodes == 5
+    assert hand("csv").episodes == 7
+
+
+def test_an_interrupted_export_is_never_complete(
+    dataset: Dataset, tmp_path: Path, hand: Hand
+) -> None:
+    def stop(done: int, total: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    out = tmp_path / "lerobot"
+    with pytest.raises(KeyboardInterrupt):
+        export(dataset, export_format("lerobot"), ExportQuery(), out, "none", stop)
+    part = tmp_path / "lerobot.partial"
+    assert part.is_dir()
+    assert not out.exists()
+    assert not (part / "manifest.json").exists()
+    with pytest.raises(InputError, match="interrupted"):
+        Import(dataset, "lerobot", part, ImportWish("dora"))
+    assert hand("lerobot").folder == out
+    assert not part.exists()
+
+
+def test_a_full_disk_is_a_fault(
+    dataset: Dataset, hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(folder: Path, content: object) -> str:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(exporting.manifest, "write_manifest", full)
+    with pytest.raises(FaultError, match="DISK-FULL"):
+        hand("csv")
+
+
+def test_no_folder_is_overwritten(dataset: Dataset, hand: Hand, tmp_path: Path) -> None:
+    hand("csv")
+    with pytest.raises(InputError, match="there already"):
+        hand("csv")
+    (tmp_path / "mine.partial").mkdir()
+    (tmp_path / "mine.partial" / "thesis.txt").write_text("keep")
+    with pytest.raises(InputError, match="no interrupted export"):
+        hand("csv", "mine")
+    assert (tmp_path / "mine.partial" / "thesis.txt").exists()
+
+
+def test_zarr_holds_the_same_numbers(
+    dataset: Dataset, hand: Hand, request: pytest.FixtureRequest
+) -> None:
+    out = hand("zarr").folder
+    request.addfinalizer(cleanup_resources)
+    group = zarr.open_group(out / "episodes.zarr", mode="r")
+    assert group.attrs["committed"] is True
+    uuids = list(group.attrs["episodes"])  # type: ignore[arg-type]
+    markers, wrench = (group[f"observation.{name}"][:] for name in ("markers", "ft"))  # type: ignore[index]
+    for k, uuid in enumerate(uuids):
+        mine = np.concatenate([markers[k], wrench[k]], 1)
+        assert mine.tobytes() == dataset.read(str(uuid)).observation.tobytes()
+    array = group["observation.markers"]
+    assert array.metadata.zarr_format == 3  # type: ignore[union-attr]
+    assert array.shards[0] == 100  # type: ignore[union-attr, index]
+    assert array.chunks[0] == 1  # type: ignore[union-attr, index]
+
+
+def test_packed_episodes_have_what_the_model_is_given(tmp_path: Path, hand: Hand) -> None:
+    folder = tmp_path / "packed"
+    with Dataset.open(folder):
+        pass
+    write_pack(folder / "packs" / "a.mcap")
+    with Dataset.open(folder) as dataset:
+        done = hand("robomimic", "packed-out", of=dataset)
+        assert done.episodes == 4
+        assert "no recorded signals" in done.warnings[0]
+        with Dataset.open(tmp_path / "back") as back:
+            Import(back, "robomimic", done.folder, ImportWish("dora")).write()
+            mine = {back.read(e.uuid).observation.tobytes() for e in back.episodes()}
+    from backend.dataset.pack_file import read_pack
+
+    packed = {row.observation.tobytes() for row in read_pack(folder / "packs" / "a.mcap")}
+    assert mine == packed
+
+
+def test_pictures_are_refused_where_there_are_none(hand: Hand, dataset: Dataset) -> None:
+    with pytest.raises(InputError, match="holds no pictures"):
+        hand("csv", video="all")
+    dataset.record(recorded_episode(60, frames=False), Label(1, 2, 0, 3), source="measured",
+                   context=context_for(dataset), keep_frames="none")  # fmt: skip
+    with pytest.raises(InputError, match="without pictures"):
+        hand("lerobot", video="all")
+    assert hand("lerobot", video="sample").episodes == 7

@@ -1,0 +1,1 @@
+"""Drivers of wrist force/torque sensors."""

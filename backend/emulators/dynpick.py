@@ -1,0 +1,98 @@
+"""An emulated Dynpick: commands in, records out, a function of time and bytes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from backend.wire import dynpick
+from backend.wire.dynpick import TOP_COUNT, ZERO_COUNT, Command, Record
+
+RATE_HZ = 1000.0
+SENSITIVITY = (65.47, 65.44, 65.08, 1638.5, 1639.25, 1640.75)
+VERSION = b"Touchdown emulated Dynpick\r\n"
+_DIVIDERS = {Command.FILTER_1: 1, Command.FILTER_2: 2, Command.FILTER_4: 4, Command.FILTER_8: 8}
+_MOST_DUE = 200
+"""Records sent at once after a pause; older ones are lost, as in the buffer of an adapter."""
+
+
+class EmulatedDynpick:
+    """``wrench(now_s)`` gives six values, N and N·m, on the sensor in its own axes.
+
+    ``tells_sensitivity`` off: an older type that does not answer ``p``.
+    """
+
+    def __init__(
+        self,
+        wrench: Callable[[float], Sequence[float]],
+        *,
+        sensitivity: Sequence[float] = SENSITIVITY,
+        temperature_c: float = 27.5,
+        tells_sensitivity: bool = True,
+    ) -> None:
+        self._wrench, self._sensitivity = wrench, tuple(sensitivity)
+        self._temperature_c, self._tells_sensitivity = temperature_c, tells_sensitivity
+        self._commands = dynpick.command_stream()
+        self._offset: tuple[int, ...] = (0,) * 6
+        self._divider, self._tick = 1, 0
+        self._start_s: float | None = None
+        self._sent = 0
+
+    @property
+    def streaming(self) -> bool:
+        """Whether records go out of themselves."""
+        return self._start_s is not None
+
+    def receive(self, now_s: float, data: bytes) -> bytes:
+        """Take commands; return the answers."""
+        return b"".join(self._answer(now_s, command) for command in self._commands.feed(data))
+
+    def due(self, now_s: float) -> bytes:
+        """Return the records of the stream up to now."""
+        if self._start_s is None:
+            return b""
+        period_s = self._divider / RATE_HZ
+        end = math.floor((now_s - self._start_s) / period_s + 1e-6) + 1
+        late = max(0, end - self._sent - _MOST_DUE)
+        self._tick = (self._tick + late) % 10
+        first, self._sent = self._sent + late, max(end, self._sent)
+        return b"".join(self._record(self._start_s + k * period_s) for k in range(first, end))
+
+    def _answer(self, now_s: float, command: Command) -> bytes:
+        match command:
+            case Command.READ:
+                return self._record(now_s)
+            case Command.SENSITIVITY if self._tells_sensitivity:
+                return dynpick.encode_sensitivity(self._sensitivity)
+            case Command.TEMPERATURE:
+                return dynpick.encode_temperature(self._temperature_c)
+            case Command.VERSION:
+                return VERSION
+            case Command.FILTER_QUERY:
+                return dynpick.encode_filter(self._divider)
+        self._change(now_s, command)
+        return b""
+
+    def _change(self, now_s: float, command: Command) -> None:
+        match command:
+            case Command.START:
+                self._start_s, self._sent = now_s, 0
+            case Command.STOP:
+                self._start_s = None
+            case Command.OFFSET_RESET:
+                self._offset = self._counts(now_s)
+            case _ if command in _DIVIDERS:
+                self._divider = _DIVIDERS[command]
+                if self.streaming:
+                    self._start_s, self._sent = now_s, 0
+
+    def _counts(self, now_s: float) -> tuple[int, ...]:
+        values = zip(self._wrench(now_s), self._sensitivity, strict=True)
+        return tuple(round(value * per_unit) for value, per_unit in values)
+
+    def _record(self, now_s: float) -> bytes:
+        pairs = zip(self._counts(now_s), self._offset, strict=True)
+        counts = tuple(min(max(ZERO_COUNT + c - o, 0), TOP_COUNT) for c, o in pairs)
+        record = Record(self._tick, counts)
+        self._tick = (self._tick + 1) % 10
+        return dynpick.encode_record(record)

@@ -1,0 +1,84 @@
+"""From bytes to stamped wrenches: stamps, losses, jumps, mounting."""
+
+import numpy as np
+import pytest
+
+from backend.config.hardware import DynpickSettings, ForceTorqueSettings
+from backend.devices.force_torque.dynpick_samples import DynpickSamples
+from backend.wire.dynpick import Record, encode_record
+
+ZERO = 0x2000
+PER_UNIT = (100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0)
+
+
+def samples(**mounting):
+    return DynpickSamples(DynpickSettings(), ForceTorqueSettings(**mounting), PER_UNIT)
+
+
+def stream(*loads, tick=0):
+    return b"".join(
+        encode_record(Record((tick + i) % 10, (ZERO + x, ZERO, ZERO, ZERO, ZERO, ZERO)))
+        for i, x in enumerate(loads)
+    )
+
+
+def test_a_burst_is_spread_by_the_period():
+    stamps, values = samples().accept(5.0, stream(100, 200, 300))
+    assert stamps == pytest.approx([4.998, 4.999, 5.0])
+    assert values[:, 0] == pytest.approx([1.0, 2.0, 3.0])
+
+
+def test_stamps_rise_even_if_bursts_overlap():
+    reading = samples()
+    first, _ = reading.accept(5.0, stream(0))
+    second, _ = reading.accept(5.001, stream(*[0] * 8, tick=1))
+    assert np.all(np.diff(np.concatenate([first, second])) > 0)
+    assert second[-1] == 5.001
+
+
+def test_a_record_in_two_reads_is_one_sample():
+    reading = samples()
+    content = stream(100)
+    assert len(reading.accept(1.0, content[:10])[0]) == 0
+    stamps, values = reading.accept(1.5, content[10:])
+    assert stamps == [1.5]
+    assert values.shape == (1, 6)
+
+
+def test_missing_ticks_are_counted():
+    reading = samples()
+    reading.accept(1.0, stream(0, 0))
+    reading.accept(1.1, stream(0, tick=5))
+    assert reading.lost == 3
+
+
+def test_one_leap_is_left_out_and_counted():
+    reading = samples()
+    _, values = reading.accept(1.0, stream(0, 0, 5000, 0, 0))
+    assert values[:, 0].tolist() == [0.0] * 4
+    assert reading.lost == 1
+
+
+def test_a_leap_that_stays_is_a_load():
+    _, values = samples().accept(1.0, stream(0, 0, 5000, 5001, 5002))
+    assert values[:, 0] == pytest.approx([0.0, 0.0, 50.01, 50.02])
+
+
+def test_two_different_leaps_are_both_left_out():
+    _, values = samples().accept(1.0, stream(0, 0, 5000, -5000, 0))
+    assert values[:, 0].tolist() == [0.0] * 3
+
+
+def test_the_ends_of_the_range_are_an_overload():
+    reading = samples()
+    reading.accept(1.0, stream(0x1FFE))
+    assert not reading.overload
+    reading.accept(1.1, stream(0x1FFF, tick=1))
+    assert reading.overload
+
+
+def test_mounting_and_sign_turn_force_and_torque():
+    quarter = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    content = encode_record(Record(0, (ZERO + 100, ZERO, ZERO, ZERO + 100, ZERO, ZERO)))
+    _, values = samples(rotation=quarter, sign=-1).accept(1.0, content)
+    assert values[0] == pytest.approx([0.0, -1.0, 0.0, 0.0, -0.1, 0.0])

@@ -3,7 +3,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup run demo test check lint types contracts format bench fuzz screens models clean
+.PHONY: help setup run demo test check lint types contracts format bench fuzz screens models exchange-check clean
 
 export PYTHON
 BIN := .venv/bin
@@ -63,6 +63,9 @@ screens: setup ## rewrite the screenshots in docs/img
 models: setup ## make the models that ship, from nothing (the longest target: about 50 min)
 	@$(BIN)/touchdown models --pieces pot,mushroom --episodes 4000 --epochs 18 --seed 2
 	@$(BIN)/touchdown models --pieces barrel --episodes 8000 --epochs 22 --seed 3
+
+exchange-check: setup ## load an export with the real readers (installs them aside: several GB)
+	@.ci/exchange-check
 
 clean: ## remove what the other targets made (not the data)
 	@rm -rf .venv build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

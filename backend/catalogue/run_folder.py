@@ -141,6 +141,10 @@ class LiveRun:
         made = Artifact(name, place.as_posix(), digest.hexdigest(), path.stat().st_size)
         self._write(artifacts=(*self.about.artifacts, made))
 
+    def name_data(self, manifest: str) -> None:
+        """Note the hash of what it works on, where that is known only now."""
+        self._write(manifest=manifest)
+
     def finish(self) -> None:
         """End it: it did what it was asked for."""
         self._end("finished")

@@ -1,0 +1,70 @@
+"""A training as a run of its dataset. The process that started it writes; the child knows nothing.
+
+Everything is in the folder of the run, so that it makes no difference who has the dataset open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from hashlib import sha256
+
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.run_folder import LiveRun
+from backend.catalogue.training_set import is_dataset
+from backend.catalogue.writer_lock import DatasetInUseError
+from backend.learning.job import Cancelled, Epoch, Finished, Loaded, TrainingJob
+
+KIND = "train"
+CURVES = ("train_loss", "validation_loss", "iou", "point_accuracy")
+"""Fields of ``Epoch`` that are kept as metrics, a value per epoch."""
+MANIFEST = "manifest.json"
+
+
+def begin_training(dataset: Dataset, job: TrainingJob) -> LiveRun:
+    """Begin the run of ``job``; its params are what the job asks for."""
+    asked = job.model_dump(mode="json", include={"piece", "out", "labels", "resume", "threads"})
+    settings = asked | job.settings.model_dump(mode="json")
+    return dataset.runs.begin(KIND, seed=job.settings.seed, settings=settings)
+
+
+def note(run: LiveRun, report: Loaded | Epoch | Finished | Cancelled) -> None:
+    """Keep what the training said; its last word ends the run."""
+    match report:
+        case Epoch():
+            for name in CURVES:
+                run.metric(name, report.epoch, getattr(report, name))
+            run.end_epoch()
+        case Finished():
+            manifest = run.folder / MANIFEST
+            if manifest.exists():
+                run.name_data(sha256(manifest.read_bytes()).hexdigest())
+            run.artifact("model", report.out)
+            run.finish()
+        case Cancelled():
+            run.cancel()
+        case Loaded():
+            facts = report.model_dump(mode="json", include={"episodes", "held_out", "base_rate"})
+            for name, value in facts.items():
+                run.metric(name, 0, value)
+
+
+@contextmanager
+def recorded(job: TrainingJob, say: Callable[[str], None]) -> Iterator[LiveRun | None]:
+    """Record ``job`` in the dataset ``job.data``, which may be open elsewhere; None for packs.
+
+    An error ends the run as failed, and goes on. Afterwards the catalogue is brought up to date,
+    and ``say`` gets what a start says; where another program has it open, that one does it.
+    """
+    if not is_dataset(job.data):
+        yield None
+        return
+    with Dataset.open(job.data, create=False, write=False) as dataset:
+        run = begin_training(dataset, job)
+    try:
+        with run:
+            yield run
+    finally:
+        with suppress(DatasetInUseError), Dataset.open(job.data, create=False) as dataset:
+            for notice in dataset.notices:
+                say(notice)

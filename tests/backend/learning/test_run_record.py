@@ -1,0 +1,111 @@
+"""A training leaves a run in its dataset, whoever has the dataset open meanwhile."""
+
+from __future__ import annotations
+
+import json
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from backend.__main__ import main
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.run_folder import About
+from backend.config.method import TrainingSettings
+from backend.core.faults import FaultError
+from backend.learning.child import TrainingProcess
+from backend.learning.job import Cancelled, Epoch, TrainingJob
+from backend.learning.run_record import CURVES, note, recorded
+from tests.backend.catalogue.test_packs_in_datasets import write_pack
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    folder = tmp_path / "data"
+    Dataset.open(folder).close()
+    write_pack(folder / "packs" / "a.mcap", 24)
+    Dataset.open(folder).close()
+    return folder
+
+
+def job(folder: Path, **changes: Any) -> TrainingJob:
+    settings = TrainingSettings(hidden=12, epochs=changes.pop("epochs", 2), batch=8, patience=9)
+    fields = {"data": folder, "piece": "pot", "out": folder.parent / "pot.safetensors"}
+    return TrainingJob.model_validate(
+        {**fields, "settings": settings, "labels": "drafts", **changes}
+    )
+
+
+def only_run(folder: Path) -> About:
+    with Dataset.open(folder, write=False) as dataset:
+        (run,) = dataset.runs.entries("train")
+        return run
+
+
+def test_the_train_verb_records_its_run(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    out = folder.parent / "pot.safetensors"
+    words = ["train", str(folder), "--labels", "drafts", "--epochs", "2", "--seed", "5"]
+    assert main([*words, "--out", str(out), "--json"]) == 0
+    answer = json.loads(capfd.readouterr().out)
+    run = only_run(folder)
+    assert (run.uuid, run.state, run.seed) == (answer["run"], "finished", 5)
+    assert (run.params["epochs"], run.params["labels"]) == (2, "drafts")
+    (model,) = [made for made in run.artifacts if made.name == "model"]
+    assert model.sha256 == sha256(out.read_bytes()).hexdigest()
+    with Dataset.open(folder, write=False) as dataset:
+        for name in CURVES:
+            kept = [m.value for m in dataset.runs.metrics(run.uuid, name)]
+            assert kept == [epoch[name] for epoch in answer["curve"]]
+
+
+def test_a_dataset_that_is_open_elsewhere_gets_its_run_too(folder: Path) -> None:
+    with Dataset.open(folder) as window:
+        asked = job(folder)
+        with recorded(asked, pytest.fail) as run, TrainingProcess(asked) as training:
+            assert run is not None
+            states = set()
+            for report in training.reports():
+                note(run, report)
+                states.add(window.runs.entry(run.uuid).state)
+        assert states == {"running", "finished"}
+        assert len(window.runs.metrics(run.uuid, "iou")) == 2
+
+
+def test_a_cancelled_training_is_a_cancelled_run(folder: Path) -> None:
+    asked = job(folder, epochs=100_000)
+    with recorded(asked, lambda _: None) as run, TrainingProcess(asked) as training:
+        assert run is not None
+        for report in training.reports():
+            note(run, report)
+            if isinstance(report, Epoch):
+                training.cancel()
+    assert isinstance(report, Cancelled)
+    assert only_run(folder).state == "cancelled"
+
+
+def test_a_killed_child_is_a_failed_run(folder: Path) -> None:
+    asked = job(folder, epochs=100_000)
+
+    def train() -> None:
+        with recorded(asked, lambda _: None) as run, TrainingProcess(asked) as training:
+            assert run is not None
+            for report in training.reports():
+                note(run, report)
+                training._child.kill()
+
+    with pytest.raises(FaultError):
+        train()
+    assert only_run(folder).state == "failed"
+    assert "ended early" in only_run(folder).reason
+
+
+def test_refused_data_is_a_failed_run_and_packs_alone_have_none(
+    folder: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    out = str(folder.parent / "m.safetensors")
+    assert main(["train", str(folder), "--out", out]) == 2
+    assert "label" in only_run(folder).reason
+    capfd.readouterr()
+    assert main(["train", str(folder / "packs"), "--epochs", "1", "--out", out, "--json"]) == 0
+    assert "run" not in json.loads(capfd.readouterr().out)

@@ -28,6 +28,11 @@ def begin_training(dataset: Dataset, job: TrainingJob) -> LiveRun:
     return dataset.runs.begin(KIND, seed=job.settings.seed, settings=settings)
 
 
+def kept_in(run: LiveRun | None, job: TrainingJob) -> TrainingJob:
+    """Return ``job`` that leaves its manifest and samples in the folder of its run, if any."""
+    return job if run is None else job.model_copy(update={"keep": run.folder})
+
+
 def note(run: LiveRun, report: Loaded | Epoch | Finished | Cancelled) -> None:
     """Keep what the training said; its last word ends the run."""
     match report:

@@ -71,7 +71,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     # Imported here so that `touchdown --help` starts without torch.
     from backend.learning.child import TrainingProcess
     from backend.learning.job import Cancelled, Epoch, Finished, Loaded, TrainingJob
-    from backend.learning.run_record import note, recorded
+    from backend.learning.run_record import kept_in, note, recorded
 
     settings = {
         "modality": args.modality,
@@ -94,7 +94,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     asked = parse(TrainingJob, job, "arguments")
     with (
         recorded(asked, screen.say) as record,
-        TrainingProcess(asked) as training,
+        TrainingProcess(kept_in(record, asked)) as training,
         screen.progress(f"Training {args.piece or 'model'}", args.epochs) as advance,
     ):
         for report in training.reports():

@@ -14,6 +14,7 @@ from backend.catalogue.dataset import Dataset
 from backend.catalogue.run_folder import About
 from backend.config.method import TrainingSettings
 from backend.core.faults import FaultError
+from backend.learning.checkpoint import load_card
 from backend.learning.child import TrainingProcess
 from backend.learning.job import Cancelled, Epoch, TrainingJob
 from backend.learning.run_record import CURVES, note, recorded
@@ -53,6 +54,7 @@ def test_the_train_verb_records_its_run(folder: Path, capfd: pytest.CaptureFixtu
     assert (run.params["epochs"], run.params["labels"]) == (2, "drafts")
     (model,) = [made for made in run.artifacts if made.name == "model"]
     assert model.sha256 == sha256(out.read_bytes()).hexdigest()
+    assert run.manifest == load_card(out).manifest_sha256 != ""
     with Dataset.open(folder, write=False) as dataset:
         for name in CURVES:
             kept = [m.value for m in dataset.runs.metrics(run.uuid, name)]

@@ -58,6 +58,9 @@ class EmulatedDynpick:
         first, self._sent = self._sent + late, max(end, self._sent)
         return b"".join(self._record(self._start_s + k * period_s) for k in range(first, end))
 
+    def closed(self, now_s: float) -> None:
+        """Nothing: a sensor on a serial line does not notice."""
+
     def _answer(self, now_s: float, command: Command) -> bytes:
         match command:
             case Command.READ:

@@ -33,6 +33,9 @@ class Emulated(Protocol):
     def due(self, now_s: float) -> bytes:
         """Return what the device sends of itself up to now."""
 
+    def closed(self, now_s: float) -> None:
+        """Take note that the client has gone."""
+
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
@@ -121,6 +124,7 @@ class TcpFront(Front):
                 client.settimeout(1.0)
                 client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._serve(client.fileno(), partial(client.recv, CHUNK), client.sendall)
+            self._device.closed(self._clock.now_s())
 
 
 class PtyFront(Front):

@@ -35,7 +35,7 @@ def _crc16(table: tuple[int, ...], data: bytes) -> int:
 
 
 def crc_wsg(data: bytes) -> int:
-    """CRC of Weiss grippers, from the preamble on; 0 over a frame with its CRC.
+    """CRC of Weiss grippers, from the preamble on.
 
     In no catalogue: the table is the one of the unreflected polynomial, the update the one of the
     reflected form. Source: command set reference manual, firmware 2.2.0.

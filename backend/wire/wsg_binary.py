@@ -13,25 +13,14 @@ from typing import TypeAlias
 
 from backend.wire.checksums import crc_wsg
 from backend.wire.framing import FrameStream, Step, WireError, noise_until
-from backend.wire.wsg_layouts import NOTHING, REPLIES, REQUESTS
+from backend.wire.wsg_layouts import LONGEST_UNKNOWN, NOTHING, REPLIES, REQUESTS, TEXT
 from backend.wire.wsg_words import Command, Status
 
 PORT = 1000
 PREAMBLE = b"\xaa\xaa\xaa"
 ACKNOWLEDGE_KEY = b"ack"
-LONGEST_LOOP, LONGEST_TAG = 256, 64
 
 _HEAD, _CRC = 6, 2
-_UNKNOWN_LONGEST = 64
-"""Payload of a command not in the tables; longer ones are taken for noise."""
-
-_TEXT: dict[int, int] = {
-    Command.LOOP: LONGEST_LOOP,
-    Command.SET_TAG: LONGEST_TAG,
-    Command.GET_TAG: LONGEST_TAG,
-}
-"""Commands whose content is bytes of any length up to this."""
-
 Number: TypeAlias = float | int | bytes
 
 
@@ -108,7 +97,7 @@ def update(command: Command, period_ms: int = 0, *, on_change: bool = False) -> 
 def encode_request(request: Request) -> bytes:
     """Return the frame; raises ``WireError`` if a value does not fit or is no number."""
     layout = REQUESTS.get(request.command)
-    if layout is None or (request.command in _TEXT and request.values):
+    if layout is None or (request.command in TEXT and request.values):
         return _frame(request.command, _only_bytes(request.values, request.command))
     return _frame(request.command, _pack(layout, request.values))
 
@@ -120,7 +109,7 @@ def encode_reply(reply: Reply) -> bytes:
     values = reply.values
     if reply.command == Command.TEMPERATURE and values:
         values = (round(float(values[0]) * 10),)
-    if reply.command in _TEXT and reply.command != Command.SET_TAG and values:
+    if reply.command in TEXT and reply.command != Command.SET_TAG and values:
         content = _only_bytes(values, reply.command)
     elif reply.status != Status.SUCCESS or not values:
         content = _pack(NOTHING, values)
@@ -165,7 +154,7 @@ def _pack(layout: str, values: tuple[Number, ...]) -> bytes:
 
 def _only_bytes(values: tuple[Number, ...], command: int) -> bytes:
     content = values[0] if len(values) == 1 else b"" if not values else None
-    if not isinstance(content, bytes) or len(content) > _TEXT.get(command, _UNKNOWN_LONGEST):
+    if not isinstance(content, bytes) or len(content) > TEXT.get(command, LONGEST_UNKNOWN):
         raise WireError("range", "wsg payload", _HEAD)
     return content
 
@@ -177,13 +166,14 @@ def _size(data: bytes, at: int) -> int | None:
         return 0
     if len(head) < _HEAD:
         return None
-    longest = _TEXT.get(head[3], _UNKNOWN_LONGEST) + 2
+    longest = TEXT.get(head[3], LONGEST_UNKNOWN) + 2
     size = int.from_bytes(head[4:6], "little")
     return _HEAD + size + _CRC if size <= longest else 0
 
 
 def _payload(frame: bytes) -> bytes:
-    if crc_wsg(frame):
+    # Not "crc over the frame is 0": that also holds for some wrong values of its two bytes.
+    if crc_wsg(frame[:-_CRC]) != int.from_bytes(frame[-_CRC:], "little"):
         raise WireError("crc", "wsg frame", len(frame) - _CRC)
     return frame[_HEAD:-_CRC]
 
@@ -203,7 +193,7 @@ def _reply(command: int, payload: bytes) -> Reply:
     status, content = int.from_bytes(payload[:2], "little"), payload[2:]
     if status != Status.SUCCESS or not content:
         layouts = REPLIES.get(command, (NOTHING,))
-        needed = status == Status.SUCCESS and command not in _TEXT and NOTHING not in layouts
+        needed = status == Status.SUCCESS and command not in TEXT and NOTHING not in layouts
         if content or needed:
             raise WireError("size", "wsg reply", _HEAD + 2)
         return Reply(command, status)

@@ -7,6 +7,11 @@ from __future__ import annotations
 
 from backend.wire.wsg_words import Command
 
+LONGEST_UNKNOWN = 64
+"""Payload of a command not in the tables; longer ones are taken for noise."""
+TEXT: dict[int, int] = {Command.LOOP: 256, Command.SET_TAG: 64, Command.GET_TAG: 64}
+"""Commands whose content is bytes of any length up to this."""
+
 _UPDATE, NOTHING = "<BH", "<"
 REQUESTS: dict[int, str] = {
     **dict.fromkeys(Command, NOTHING),

@@ -45,6 +45,16 @@ def test_a_wsg_frame_with_its_crc_gives_zero(content):
     assert checksums.crc_wsg(content + crc.to_bytes(2, "little")) == 0
 
 
+def test_zero_over_a_wsg_frame_does_not_prove_it_whole():
+    zeros = [
+        end
+        for end in range(0x10000)
+        if checksums.crc_wsg(b"\xaa\xaa\xaa\x22\x00\x00" + end.to_bytes(2, "little")) == 0
+    ]
+    assert 0x760E in zeros
+    assert len(zeros) > 1
+
+
 @pytest.mark.parametrize("name", [name for name in VECTORS if name.startswith("ft300-vendor")])
 def test_frames_printed_by_the_maker_carry_this_crc(name):
     *body, low, high = data(name)

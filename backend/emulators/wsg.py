@@ -1,0 +1,185 @@
+"""An emulated WSG with the binary protocol: a function of time and bytes.
+
+A connection that ends without an announced disconnect latches the fast stop, as the real one does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from backend.emulators.wsg_jaws import CLAMPING_TRAVEL_MM, Jaws, Motion, Profile
+from backend.wire import wsg_binary
+from backend.wire.wsg_binary import ACKNOWLEDGE_KEY, Number, Refused, Reply, Request
+from backend.wire.wsg_words import Command, Status, SystemFlag
+
+SERIAL = 12345
+TEMPERATURE_C = 31.2
+_HOME_SPEED_MM_S = 50.0
+_MOTIONS = (Command.HOME, Command.PREPOSITION, Command.GRASP, Command.RELEASE)
+
+
+@dataclass(slots=True)
+class Update:
+    """A reading sent again and again."""
+
+    period_s: float
+    on_change: bool
+    next_s: float
+    last: tuple[Number, ...] | None = None
+
+
+class EmulatedWsg:
+    """``jaws.part_mm`` may be set at any time: a part comes, or is lost."""
+
+    def __init__(self, profile: Profile | None = None, part_mm: float | None = None) -> None:
+        self.jaws = Jaws(profile or Profile(), part_mm)
+        self._requests = wsg_binary.requests()
+        self._updates: dict[Command, Update] = {}
+        self._acceleration_mm_s2 = self.jaws.profile.acceleration_mm_s2[0]
+        self._leaving = False
+        self._actions: dict[int, Callable[[Request], tuple[Status, tuple[Number, ...]]]] = {
+            Command.LOOP: lambda request: (Status.SUCCESS, request.values),
+            Command.ACKNOWLEDGE: self._acknowledge,
+            Command.SET_ACCELERATION: self._set_acceleration,
+            Command.SET_FORCE_LIMIT: self._set_force_limit,
+        }
+
+    def receive(self, now_s: float, data: bytes) -> bytes:
+        """Take commands; return what is answered at once."""
+        out = self.due(now_s)
+        for request in self._requests.feed(data):
+            replies = self._answer(now_s, request)
+            out += b"".join(map(wsg_binary.encode_reply, replies))
+        return out
+
+    def due(self, now_s: float) -> bytes:
+        """Return the result of a motion that ended, and the updates that are due."""
+        ended = self.jaws.advance(now_s)
+        replies = [Reply(*ended)] if ended else []
+        replies += [reply for command in self._updates for reply in self._update(now_s, command)]
+        return b"".join(map(wsg_binary.encode_reply, replies))
+
+    def closed(self, now_s: float) -> None:
+        """Latch the fast stop unless the end was announced."""
+        self._updates.clear()
+        self._requests.reset()
+        if not self._leaving:
+            self._fast_stop()
+        self._leaving = False
+
+    def _answer(self, now_s: float, request: Request | Refused) -> list[Reply]:
+        if isinstance(request, Refused):
+            return [Reply(request.command, request.status)]
+        if self._leaving:
+            return [Reply(request.command, Status.ACCESS_DENIED)]
+        if request.command in _MOTIONS:
+            return [self._move(now_s, Command(request.command), request.values)]
+        if request.command in (Command.STOP, Command.FAST_STOP, Command.DISCONNECT):
+            return self._halt(request.command)
+        reading = self._reading(request.command)
+        if reading is not None:
+            self._subscribe(now_s, request)
+            return [Reply(request.command, Status.SUCCESS, reading)]
+        action = self._actions.get(request.command)
+        if action is None:
+            return [Reply(request.command, Status.CMD_UNKNOWN)]
+        return [Reply(request.command, *action(request))]
+
+    def _move(self, now_s: float, command: Command, values: tuple[Number, ...]) -> Reply:
+        jaws, refusal = self.jaws, Status.CMD_PENDING
+        if SystemFlag.FAST_STOP in jaws.flags:
+            refusal = Status.ACCESS_DENIED
+        elif jaws.motion is not None:
+            refusal = Status.ALREADY_RUNNING
+        elif command is not Command.HOME and SystemFlag.REFERENCED not in jaws.flags:
+            refusal = Status.NOT_INITIALIZED
+        if refusal is not Status.CMD_PENDING:
+            return Reply(command, refusal)
+        numbers = [float(value) for value in values]
+        if command is Command.HOME:
+            target = 0.0 if numbers[0] == 2 else jaws.profile.stroke_mm
+            jaws.begin(now_s, command, target, _HOME_SPEED_MM_S)
+        elif command is Command.PREPOSITION:
+            relative = jaws.width_mm if int(numbers[0]) & 1 else 0.0
+            jaws.begin(now_s, command, relative + numbers[1], numbers[2])
+        else:
+            travel = CLAMPING_TRAVEL_MM if command is Command.GRASP else 0.0
+            jaws.begin(now_s, command, numbers[0] - travel, numbers[1])
+        return Reply(command, Status.CMD_PENDING)
+
+    def _halt(self, command: int) -> list[Reply]:
+        ended = self._fast_stop() if command == Command.FAST_STOP else self.jaws.halt()
+        self._leaving = command == Command.DISCONNECT
+        aborted = [Reply(ended.command, Status.CMD_ABORTED)] if ended else []
+        return [*aborted, Reply(command, Status.SUCCESS)]
+
+    def _fast_stop(self) -> Motion | None:
+        ended = self.jaws.halt()
+        self.jaws.flags |= SystemFlag.FAST_STOP
+        return ended
+
+    def _acknowledge(self, request: Request) -> tuple[Status, tuple[Number, ...]]:
+        if request.values != (ACKNOWLEDGE_KEY,):
+            return Status.CMD_FORMAT_ERROR, ()
+        self.jaws.flags &= ~SystemFlag.FAST_STOP
+        return Status.SUCCESS, ()
+
+    def _set_acceleration(self, request: Request) -> tuple[Status, tuple[Number, ...]]:
+        low, high = self.jaws.profile.acceleration_mm_s2
+        self._acceleration_mm_s2 = min(max(float(request.values[0]), low), high)
+        return Status.SUCCESS, ()
+
+    def _set_force_limit(self, request: Request) -> tuple[Status, tuple[Number, ...]]:
+        low, high = self.jaws.profile.force_sum_n
+        self.jaws.force_limit_n = min(max(float(request.values[0]), low), high)
+        return Status.SUCCESS, ()
+
+    def _subscribe(self, now_s: float, request: Request) -> None:
+        if len(request.values) != 2:
+            return
+        flags, period_ms = (int(value) for value in request.values)
+        command = Command(request.command)
+        if flags & 1 and period_ms:
+            period_s = period_ms / 1000
+            update = Update(period_s, bool(flags & 2), now_s + period_s, self._reading(command))
+            self._updates[command] = update
+        else:
+            self._updates.pop(command, None)
+
+    def _update(self, now_s: float, command: Command) -> list[Reply]:
+        update = self._updates[command]
+        if now_s < update.next_s:
+            return []
+        reading = self._reading(command)
+        if reading is None or (update.on_change and reading == update.last):
+            return []
+        late = math.floor((now_s - update.next_s) / update.period_s)
+        update.next_s += (late + 1) * update.period_s
+        update.last = reading
+        return [Reply(command, Status.SUCCESS, reading)]
+
+    def _reading(self, command: int) -> tuple[Number, ...] | None:
+        """Return what a reading command answers; None for other commands."""
+        jaws, profile = self.jaws, self.jaws.profile
+        motion = jaws.motion
+        readings: dict[int, tuple[Number, ...]] = {
+            Command.SYSTEM_STATE: (int(jaws.flags),),
+            Command.GRASP_STATE: (int(jaws.state),),
+            Command.WIDTH: (jaws.width_mm,),
+            Command.SPEED: (motion.velocity_mm_s if motion else 0.0,),
+            Command.FORCE: (jaws.force_n,),
+            Command.TEMPERATURE: (TEMPERATURE_C,),
+            Command.GET_ACCELERATION: (self._acceleration_mm_s2,),
+            Command.GET_FORCE_LIMIT: (jaws.force_limit_n,),
+            Command.SYSTEM_INFO: (profile.kind, 2, 0x2200, SERIAL),
+            Command.SYSTEM_LIMITS: (
+                profile.stroke_mm,
+                *profile.speed_mm_s,
+                *profile.acceleration_mm_s2,
+                *profile.force_sum_n,
+                profile.force_sum_n[1],
+            ),
+        }
+        return readings.get(command)

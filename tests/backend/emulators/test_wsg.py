@@ -1,0 +1,154 @@
+"""The emulated WSG: immediate and final answers of every motion, updates, stops, lost part."""
+
+import socket
+
+import pytest
+
+from backend.emulators.front import TcpFront
+from backend.emulators.wsg import EmulatedWsg
+from backend.wire import wsg_binary
+from backend.wire.wsg_binary import Reply, Request, update
+from backend.wire.wsg_words import Command, GraspState, Status, SystemFlag
+from tests.backend.wire.vectors import data
+
+HOMED_S = 10.0
+
+
+class Client:
+    """Speaks to an emulated gripper without a wire."""
+
+    def __init__(self, part_mm=None, homed=True):
+        self.gripper, self.replies = EmulatedWsg(part_mm=part_mm), wsg_binary.replies()
+        if homed:
+            self.send(0.0, wsg_binary.home())
+            assert self.wait(HOMED_S) == [Reply(Command.HOME, Status.SUCCESS)]
+
+    def send(self, now_s, *requests):
+        content = b"".join(map(wsg_binary.encode_request, requests))
+        return self.replies.feed(self.gripper.receive(now_s, content))
+
+    def wait(self, now_s):
+        return self.replies.feed(self.gripper.due(now_s))
+
+    def read(self, now_s, command):
+        (reply,) = self.send(now_s, Request(command, (0, 0)))
+        return reply.values[0]
+
+
+def test_a_motion_answers_twice_and_ends_when_it_really_ends():
+    client = Client()
+    assert client.send(10.0, wsg_binary.preposition(46, 20)) == [
+        Reply(Command.PREPOSITION, Status.CMD_PENDING)
+    ]
+    assert client.read(10.5, Command.WIDTH) == pytest.approx(56.0)
+    assert client.read(10.5, Command.SYSTEM_STATE) & SystemFlag.MOVING
+    assert client.wait(10.999) == []
+    assert client.wait(11.001) == [Reply(Command.PREPOSITION, Status.SUCCESS)]
+    assert client.read(11.1, Command.WIDTH) == 46.0
+
+
+def test_before_homing_only_homing_is_allowed():
+    client = Client(homed=False)
+    assert client.send(0.0, wsg_binary.grasp(20, 30)) == [
+        Reply(Command.GRASP, Status.NOT_INITIALIZED)
+    ]
+    assert client.send(0.0, wsg_binary.preposition(20, 30))[0].status == Status.NOT_INITIALIZED
+
+
+def test_a_part_is_held_with_the_force_limit_and_may_be_lost():
+    client = Client(part_mm=20.0)
+    client.send(10.0, wsg_binary.set_force_limit(10), wsg_binary.grasp(20.5, 46))
+    assert client.wait(11.1) == [Reply(Command.GRASP, Status.SUCCESS)]
+    assert client.read(11.2, Command.GRASP_STATE) == GraspState.HOLDING
+    assert client.read(11.2, Command.FORCE) == 10.0
+    assert client.read(11.2, Command.WIDTH) == 20.0
+    client.send(11.3, update(Command.GRASP_STATE, 20, on_change=True))
+    assert client.wait(11.5) == []
+    client.gripper.jaws.part_mm = None
+    assert client.wait(11.6) == [Reply(Command.GRASP_STATE, 0, (GraspState.PART_LOST,))]
+    assert client.read(11.7, Command.FORCE) == 0.0
+
+
+def test_without_a_part_grasp_fails():
+    client = Client()
+    client.send(10.0, wsg_binary.grasp(20, 400))
+    assert client.wait(11.0) == [Reply(Command.GRASP, Status.CMD_FAILED)]
+    assert client.read(11.0, Command.GRASP_STATE) == GraspState.NO_PART_FOUND
+
+
+def test_a_second_motion_is_refused_and_stop_ends_the_first():
+    client = Client()
+    client.send(10.0, wsg_binary.preposition(10, 10))
+    assert client.send(10.1, wsg_binary.release(60, 10)) == [
+        Reply(Command.RELEASE, Status.ALREADY_RUNNING)
+    ]
+    assert client.send(10.2, Request(Command.STOP)) == [
+        Reply(Command.PREPOSITION, Status.CMD_ABORTED),
+        Reply(Command.STOP, Status.SUCCESS),
+    ]
+    assert client.read(20.0, Command.WIDTH) == pytest.approx(64.0)
+
+
+def test_a_block_ends_a_preposition():
+    client = Client(part_mm=30.0)
+    client.send(10.0, wsg_binary.preposition(10, 100))
+    assert client.wait(11.0) == [Reply(Command.PREPOSITION, Status.AXIS_BLOCKED)]
+    assert client.read(11.0, Command.SYSTEM_STATE) & SystemFlag.BLOCKED_MINUS
+
+
+def test_a_fast_stop_holds_until_it_is_acknowledged():
+    client = Client()
+    client.send(10.0, Request(Command.FAST_STOP))
+    assert client.send(10.1, wsg_binary.grasp(20, 30))[0].status == Status.ACCESS_DENIED
+    assert client.send(10.2, Request(Command.ACKNOWLEDGE, (b"nak",)))[0].status == 15
+    assert client.send(10.3, wsg_binary.acknowledge()) == [Reply(Command.ACKNOWLEDGE, 0)]
+    assert client.send(10.4, wsg_binary.grasp(20, 30))[0].status == Status.CMD_PENDING
+
+
+def test_only_an_announced_end_leaves_no_fast_stop():
+    client = Client()
+    client.send(10.0, Request(Command.DISCONNECT))
+    assert client.send(10.0, Request(Command.TARE))[0].status == Status.ACCESS_DENIED
+    client.gripper.closed(10.0)
+    assert not client.read(10.1, Command.SYSTEM_STATE) & SystemFlag.FAST_STOP
+    client.gripper.closed(10.2)
+    assert client.read(10.3, Command.SYSTEM_STATE) & SystemFlag.FAST_STOP
+
+
+def test_updates_keep_their_period_and_come_between_answers():
+    client = Client()
+    client.send(10.0, update(Command.WIDTH, 50))
+    out = [reply for k in range(1, 101) for reply in client.wait(10.0 + 0.01 * k)]
+    assert len(out) == pytest.approx(20, abs=1)
+    assert client.send(11.0, update(Command.WIDTH))[0].command == Command.WIDTH
+    assert client.wait(12.0) == []
+
+
+def test_bad_and_unknown_requests_are_answered():
+    client = Client()
+    spoilt = bytearray(data("wsg-grasp"))
+    spoilt[-1] ^= 1
+    out = client.replies.feed(client.gripper.receive(10.0, bytes(spoilt)))
+    assert out == [Reply(Command.GRASP, Status.CHECKSUM_ERROR)]
+    unknown = client.replies.feed(
+        client.gripper.receive(10.0, wsg_binary.encode_request(Request(0x90)))
+    )
+    assert unknown == [Reply(0x90, Status.CMD_UNKNOWN)]
+
+
+def test_limits_are_the_published_ones():
+    client = Client()
+    out = client.gripper.receive(10.0, data("wsg-system-limits"))
+    assert out == data("wsg-system-limits-reply")
+
+
+def test_over_tcp_a_torn_connection_latches_the_fast_stop():
+    gripper = EmulatedWsg()
+    front = TcpFront(gripper)
+    front.start()
+    for _ in range(2):
+        with socket.create_connection(front.address, timeout=5) as client:
+            client.sendall(data("wsg-state-once"))
+            reply = client.recv(100)
+    front.close()
+    assert wsg_binary.replies().feed(reply)[0].values[0] & SystemFlag.FAST_STOP

@@ -34,7 +34,7 @@ VERBS = {
     "settings": "show the settings of the method, or write them to a file",
     "doctor": "check this computer, each finding with its fix",
 }
-"""Every verb and its line of help; ``backend.verbs.<verb>`` is imported only when it is used."""
+"""Every verb and its line of help; its module is imported only when it is used."""
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -99,8 +99,7 @@ def _dispatch(words: list[str]) -> int:
     if name not in VERBS:
         known = ", ".join(VERBS)
         raise InputError(f"There is no verb '{name}'.", "touchdown", f"Use one of: {known}.")
-    module = f"{name}_" if keyword.iskeyword(name) else name
-    verb = cast("Verb", importlib.import_module(f"backend.verbs.{module}"))
+    verb = cast("Verb", importlib.import_module(module_of(name)))
     parser = Parser(prog=f"touchdown {name}", description=VERBS[name], allow_abbrev=False)
     parser.add_argument(
         "--json", action="store_true", help="print one JSON object and nothing else"
@@ -112,6 +111,11 @@ def _dispatch(words: list[str]) -> int:
     elif unknown:
         parser.error(f"unknown argument: {' '.join(unknown)}")
     return verb.run(args, Screen(json=args.json))
+
+
+def module_of(verb: str) -> str:
+    """Return the module of a verb; one that is a word of Python carries an underscore."""
+    return f"backend.verbs.{verb}_" if keyword.iskeyword(verb) else f"backend.verbs.{verb}"
 
 
 def _front() -> Parser:

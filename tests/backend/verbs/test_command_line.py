@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 import backend.__main__ as command_line
-from backend.__main__ import VERBS, main
+from backend.__main__ import VERBS, main, module_of
 from backend.core.faults import Fault, FaultError, InputError, RefusedError, StaleSampleError
 
 
@@ -39,7 +39,7 @@ def test_the_verb_s_own_code_is_the_exit_code(verb, code):
 
 def test_every_verb_offers_what_the_frame_needs():
     for name in VERBS:
-        module = importlib.import_module(f"backend.verbs.{name}")
+        module = importlib.import_module(module_of(name))
         assert name == module.NAME
         assert module.HELP
         assert callable(module.add_arguments)

@@ -17,7 +17,7 @@ from app.link import Link
 from app.measure import Measurement
 from app.review.workspace import ReviewWorkspace
 from app.settings import settings_path
-from backend.runs.store import data_folder
+from backend.runs.store import data_folder, models_folder
 
 SWITCH_S = 0.0005
 """Window and bench hand over to each other this often.
@@ -74,10 +74,15 @@ def live_bench() -> Link:
     """Build the simulated bench with a first scene to look at (on the connecting thread)."""
     # Imported here, on the connecting thread: the window is there meanwhile.
     from backend.assembly import simulated_session
+    from backend.learning.registry import Registry
     from backend.runs.requests import SceneChoice
     from backend.session import Keep
 
-    session = simulated_session(keep=Keep(data_folder() / "runs"), animate=_can_animate())
+    session = simulated_session(
+        keep=Keep(data_folder() / "runs"),
+        animate=_can_animate(),
+        registry=Registry(models_folder()),
+    )
     session.prepare(SceneChoice())
     settle_memory()
     return session

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from backend.config.bench_facts import BenchFacts, simulated_facts
 from backend.config.load import load
 from backend.config.method import StackSettings
 from backend.config.simulation import (
@@ -19,6 +20,8 @@ from backend.config.simulation import (
 from backend.core.faults import InputError
 from backend.core.flow import Pose
 from backend.devices.sim.bench import BenchStreams, SimulatedBench
+from backend.learning.alone import check_alone, misfits
+from backend.learning.registry import Registry
 from backend.objects.catalogue import Catalogue, Piece, load_catalogue
 from backend.objects.starts import draw_start
 from backend.objects.tower import Tower, judge
@@ -130,20 +133,42 @@ def shipped_model(piece: str) -> Path:
     return path
 
 
-class _Models:
-    """The trained models in use: each file is read once for a piece."""
+class Models:
+    """The trained models of a bench: each file is read once for a piece.
 
-    def __init__(self) -> None:
+    Without a file in the choice it is the model in use of ``registry``, else the one that ships.
+    """
+
+    def __init__(self, registry: Registry | None, facts: BenchFacts, grid_mm: float) -> None:
+        self._registry, self._facts, self._grid_mm = registry, facts, grid_mm
         self._loaded: dict[tuple[Path, str], Estimator] = {}
 
     def of(self, choice: SceneChoice, piece: Piece) -> Estimator | None:
         """Return the model of a scene, None if it needs none; raises ``InputError``."""
         if not choice.estimates:
             return None
-        path = Path(choice.model) if choice.model else shipped_model(choice.piece)
+        path = Path(choice.model) if choice.model else model_in_use(choice.piece, self._registry)
         if (path, piece.name) not in self._loaded:
             self._loaded[path, piece.name] = Estimator.load(path, piece)
         return self._loaded[path, piece.name]
+
+    def check(self, choice: SceneChoice, piece: Piece) -> Estimator | None:
+        """Return the model as ``of``; ``InputError`` if it must not decide ``alone`` here."""
+        loaded = self.of(choice, piece)
+        if loaded is not None and choice.alone:
+            card = loaded.card
+            probes = (
+                0 if self._registry is None else self._registry.hardware_probes(card.weights_sha256)
+            )
+            found = misfits(card, self._facts, piece.sha256, self._grid_mm, probes)
+            check_alone(card, found, f"model {card.weights_sha256[:12]}")
+        return loaded
+
+
+def model_in_use(piece: str, registry: Registry | None) -> Path:
+    """Return the model that was put in use for ``piece``, else the one that ships."""
+    path = None if registry is None else registry.in_use(piece)
+    return shipped_model(piece) if path is None else path
 
 
 def make_tower(catalogue: Catalogue, names: tuple[str, ...], rng: np.random.Generator) -> Tower:
@@ -212,6 +237,7 @@ def simulated_session(
     method: StackSettings | None = None,
     animate: bool = False,
     estimate: Callable[[SimulatedBench], Estimate] | None = None,
+    registry: Registry | None = None,
 ) -> Session:
     """Return a session on the simulated bench.
 
@@ -221,17 +247,21 @@ def simulated_session(
 
     ``animate`` asks MuJoCo, where it is installed, after every release: for the motion of a fall
     and as second judge (0.4 s). ``estimate`` makes what stands in for the trained model on a new
-    bench. Raises ``InputError`` for bad settings.
+    bench. ``registry`` knows the models in use (None: those that ship). Raises ``InputError`` for
+    bad settings.
     """
     choice = choice or SimulatedBenchChoice()
     settings, disturbances = choice.settings(), choice.disturbances
     script = parse_script(disturbances)
     catalogue = load_catalogue(choice.pieces)
     method = method or StackSettings()
-    models = _Models()
+    facts = simulated_facts(settings)
+    models = Models(registry, facts, method.belief.pitch_mm)
 
-    def model(choice: SceneChoice, piece: Piece) -> Estimator | None:
-        return None if estimate else models.of(choice, piece)
+    def _estimator(bench: SimulatedBench, choice: SceneChoice) -> Estimate:
+        if estimate is not None:
+            return estimate(bench)
+        return models.of(choice, bench.scene.piece) or NoModel()
 
     def make_stage(choice: SceneChoice, raw: RawStreams) -> Stage:
         scene = make_scene(catalogue, choice, settings)
@@ -245,7 +275,7 @@ def simulated_session(
             bottom="+".join(choice.bottoms),
             advance=bench.advance,
             scoring=SimulatedScoring(bench, method.policy.longest_step_mm, animate),
-            estimator=estimate(bench) if estimate else model(choice, scene.piece) or NoModel(),
+            estimator=_estimator(bench, choice),
             payload=gripper_payload(settings.wrist.payload_kg, settings.wrist.payload_com_mm),
             outline=scene.surface,
             jig=Pose(*start_command_mm(scene).tolist()) if scene.jig else None,
@@ -254,7 +284,7 @@ def simulated_session(
 
     def check(choice: SceneChoice) -> Mapping[str, object]:
         scene = make_scene(catalogue, choice, settings)
-        loaded = model(choice, scene.piece)
+        loaded = None if estimate else models.check(choice, scene.piece)
         card = loaded and loaded.card
         return {
             "simulation": settings.model_dump(mode="json"),
@@ -263,6 +293,4 @@ def simulated_session(
             "program": version("touchdown"),
         }
 
-    return Session(
-        make_stage, check, catalogue, settings=method, keep=keep or Keep(), simulated=True
-    )
+    return Session(make_stage, check, catalogue, settings=method, keep=keep or Keep(), facts=facts)

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Protocol
 
 from backend.catalogue.dataset import Dataset
+from backend.config.bench_facts import BenchFacts
 from backend.config.method import StackSettings
 from backend.core.facts import Decision, FaultsReset
 from backend.core.faults import RefusedError
@@ -86,10 +87,11 @@ class Session:
         *,
         settings: StackSettings,
         keep: Keep,
-        simulated: bool,
+        facts: BenchFacts,
     ) -> None:
         self._make_stage, self._check, self.catalogue = make_stage, check, catalogue
-        self._settings, self.simulated = settings, simulated
+        self._settings, self.facts = settings, facts
+        self.simulated = simulated = facts.mode == "simulated"
         self.hub, self.interlock, self.gate = Hub(), Interlock(), Gate()
         self.decisions = Decisions()
         self.dataset: Dataset | None = None
@@ -243,6 +245,7 @@ class Session:
             run_id=run_id,
             simulated=self.simulated,
             mode=self._mode(),
+            facts=self.facts,
             dataset=self.dataset,
             decisions=self.decisions,
             piece=self.catalogue.piece,

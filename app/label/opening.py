@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.label.prelabel import Prelabeller
-from backend.assembly import shipped_model
+from backend.assembly import model_in_use
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.writer_lock import DatasetInUseError
 from backend.core.faults import InputError
+from backend.learning.registry import Registry
 from backend.objects.catalogue import Catalogue, load_catalogue
+from backend.runs.store import models_folder
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +44,8 @@ def opener(folder: Path, person: str) -> Callable[[], Opened]:
 
 
 def model_of(piece: str) -> Path | None:
-    """Return the model that ships for ``piece``, or None."""
+    """Return the model in use for ``piece``, or None."""
     try:
-        return shipped_model(piece)
+        return model_in_use(piece, Registry(models_folder()))
     except InputError:
         return None

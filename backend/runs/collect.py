@@ -27,6 +27,7 @@ from backend.runs.requests import CollectRequest
 def collect_run(host: RunHost, request: CollectRequest) -> Plan[None]:
     """Collect what the plan still lacks; every episode is durable before the next press."""
     dataset = _dataset(host, request)
+    host = replace(host, method=request.method(host.method))
     campaign = _begun(dataset, request)
     request = replace(
         request, piece=campaign.piece, bottom=campaign.bottom, count=campaign.count,
@@ -94,6 +95,8 @@ def _dataset(host: RunHost, request: CollectRequest) -> Dataset:
         raise RefusedError("NO-DATASET", "No dataset is open to collect into.")
     if not host.dataset.writable:
         raise RefusedError("READ-ONLY", "The dataset is open for reading only.")
+    if request.probes_per_grip is not None and request.probes_per_grip < 1:
+        raise InputError("A grip makes at least one probe.", "probes per grip", "Give 1 or more.")
     if not request.person.strip():
         raise InputError("Nobody is named.", "--person", "Say who collects.")
     return host.dataset
@@ -136,5 +139,9 @@ def _context(
         campaign=campaign.uuid,
         mode=host.mode,
         seed=request.seed,
-        bench={"run": host.run_id, "origin": json.dumps(calibration)},
+        bench={
+            "run": host.run_id,
+            "origin": json.dumps(calibration),
+            "facts": host.facts.model_dump_json(),
+        },
     )

@@ -17,7 +17,8 @@ Mode = Literal["auto", "approve", "step"]
 class SceneChoice:
     """What stands on the bench: ``piece`` above ``bottoms`` (bottom-up; the last one is touched).
 
-    ``model`` is a checkpoint file, None for the shipped one; without ``estimates`` none is loaded.
+    ``model`` is a checkpoint file, None for the one in use; without ``estimates`` none is loaded.
+    ``alone``: nobody is asked before a move, so the model has to fit the bench.
     With ``jig`` the piece is taken from its jig beside the bottom; ``mounting`` counts the fittings
     of bottom and gels.
     """
@@ -27,6 +28,7 @@ class SceneChoice:
     seed: int = 0
     model: str | None = None
     estimates: bool = True
+    alone: bool = False
     jig: bool = False
     mounting: int = 0
 
@@ -35,7 +37,7 @@ class SceneChoice:
 class StackRequest:
     """Stack ``piece`` on ``bottoms`` (bottom-up; the last one is touched) ``trials`` times.
 
-    Trial k uses ``seed + k``. ``model`` is a checkpoint file, None for the shipped one.
+    Trial k uses ``seed + k``. ``model`` is a checkpoint file, None for the one in use.
     """
 
     piece: str = "pot"
@@ -49,7 +51,10 @@ class StackRequest:
     def scene(self, trial: int = 0) -> SceneChoice:
         """Return the scene of trial 0, 1, ...; pick-and-place needs no model."""
         estimates = self.strategy == "paper" or self.model is not None
-        return SceneChoice(self.piece, self.bottoms, self.seed + trial, self.model, estimates)
+        return SceneChoice(
+            self.piece, self.bottoms, self.seed + trial, self.model, estimates,
+            alone=self.mode == "auto",
+        )  # fmt: skip
 
     def method(self, base: StackSettings) -> StackSettings:
         """Return the settings of this run, laid over those of the bench."""
@@ -76,6 +81,7 @@ class CollectRequest:
     is for the arm, with its standard uncertainty (None: that of the settings). ``campaign`` goes on
     with a former one, whose plan then holds instead. With ``ask`` the run waits for a decision
     after every probe. ``check_origin``: probe at known displacements after every mounting.
+    ``probes_per_grip``: at most so many (None: as the settings say).
     """
 
     piece: str = "pot"
@@ -90,6 +96,14 @@ class CollectRequest:
     check_origin: bool = False
     campaign: str = ""
     ask: bool = False
+    probes_per_grip: int | None = None
+
+    def method(self, base: StackSettings) -> StackSettings:
+        """Return the settings of this run, laid over those of the bench."""
+        if self.probes_per_grip is None:
+            return base
+        collect = base.collect.model_copy(update={"probes_per_grip": self.probes_per_grip})
+        return base.model_copy(update={"collect": collect})
 
     def scene(self, mounting: int = 0) -> SceneChoice:
         """Return the scene of a mounting: the piece in its jig, no model."""

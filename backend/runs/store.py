@@ -26,6 +26,11 @@ def dataset_folder() -> Path:
     return data_folder() / "dataset"
 
 
+def models_folder() -> Path:
+    """Return where the models in use are kept."""
+    return data_folder() / "models"
+
+
 class RunStore:
     """Writes episodes on one thread of its own, so that a run does not wait for the disk.
 

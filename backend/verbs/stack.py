@@ -13,7 +13,7 @@ from backend.core.facts import Fact, FaultRaised, PhaseEntered, Said, TrialFinis
 from backend.core.faults import InputError
 from backend.core.flow import Outcome
 from backend.runs.requests import StackRequest
-from backend.runs.store import data_folder
+from backend.runs.store import data_folder, models_folder
 from backend.verbs.ctrl_c import ctrl_c_cancels
 from backend.verbs.screen import Screen
 from backend.verbs.settings import load_method
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="trial k uses seed + k")
     parser.add_argument("--trials", type=int, default=1)
     parser.add_argument("--strategy", choices=("paper", "pick-and-place"), default="paper")
-    parser.add_argument("--model", metavar="FILE", help="checkpoint (default: the shipped one)")
+    parser.add_argument("--model", metavar="FILE", help="checkpoint (default: the one in use)")
     parser.add_argument(
         "--method", type=Path, metavar="FILE", help="settings of the method (see 'settings')"
     )
@@ -59,6 +59,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     """Run all trials; 0 if every piece was placed, else 1."""
     # Imported here so that `touchdown doctor` starts without torch.
     from backend.assembly import SimulatedBenchChoice, simulated_session
+    from backend.learning.registry import Registry
     from backend.session import Keep
 
     if args.trials < 1:
@@ -80,7 +81,9 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     )
     keep = Keep(runs, episodes=not args.no_episodes)
     method = load_method(args.method) if args.method else None
-    session = simulated_session(choice, keep=keep, method=method, animate=True)
+    session = simulated_session(
+        choice, keep=keep, method=method, animate=True, registry=Registry(models_folder())
+    )
     trials: list[TrialFinished] = []
     faults: list[FaultRaised] = []
     session.hub.subscribe(lambda fact: _follow(fact, trials, faults))

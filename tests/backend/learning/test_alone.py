@@ -1,0 +1,119 @@
+"""Which model may decide alone on which bench, field by field."""
+
+from pathlib import Path
+
+import pytest
+
+from backend.assembly import Models, SimulatedBenchChoice, model_in_use, simulated_session
+from backend.config.bench_facts import BenchFacts, simulated_facts
+from backend.config.simulation import SimulationSettings
+from backend.core.faults import InputError
+from backend.learning.alone import HARDWARE_PROBES, check_alone, misfits
+from backend.learning.checkpoint import Card, load_card, load_checkpoint, save_checkpoint
+from backend.learning.registry import Registry
+from backend.objects.catalogue import load_catalogue
+from backend.runs.requests import SceneChoice, StackRequest
+from backend.session import Keep
+
+HERE = simulated_facts(SimulationSettings())
+LAB = BenchFacts(mode="hardware", sha256="c" * 64, mm_per_px=(0.0581, 0.0581), ft_frame="flange")
+
+
+@pytest.fixture
+def card() -> Card:
+    shipped = load_card(model_in_use("pot", None))
+    return shipped.model_copy(update={"benches": (HERE,)})
+
+
+def fields(card: Card, bench: BenchFacts, probes: int = 0, piece: str = "") -> list[str]:
+    found = misfits(card, bench, piece or card.geometry, 1.0, probes)
+    return [one.field for one in found]
+
+
+def test_the_bench_it_was_trained_on_fits(card: Card) -> None:
+    assert fields(card, HERE) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"mm_per_px": (0.058, 0.066)}, ["mm/px"]),
+        ({"ft_frame": "flange"}, ["F/T frame"]),
+        ({"sha256": "d" * 64}, ["bench hash"]),
+    ],
+)
+def test_a_difference_is_named(card: Card, change: dict[str, object], named: list[str]) -> None:
+    assert fields(card, HERE.model_copy(update=change)) == named
+
+
+def test_piece_and_grid_are_named(card: Card) -> None:
+    assert fields(card, HERE, piece="e" * 64) == ["piece hash"]
+    assert fields(card.model_copy(update={"grid_mm": 0.5}), HERE) == ["grid"]
+
+
+def test_what_nobody_told_is_no_difference(card: Card) -> None:
+    assert fields(card.model_copy(update={"benches": ()}), HERE) == []
+    assert fields(card, BenchFacts(mode="simulated")) == []
+
+
+def test_any_bench_of_the_training_data_fits(card: Card) -> None:
+    other = HERE.model_copy(update={"mm_per_px": (0.07, 0.07), "sha256": "d" * 64})
+    both = card.model_copy(update={"benches": (HERE, other)})
+    assert fields(both, HERE) == fields(both, other) == []
+
+
+def test_simulation_alone_needs_hardware_probes(card: Card) -> None:
+    lab = LAB.model_copy(update={"mm_per_px": HERE.mm_per_px, "ft_frame": HERE.ft_frame})
+    assert fields(card, lab, HARDWARE_PROBES - 1) == ["bench mode"]
+    assert fields(card, lab, HARDWARE_PROBES) == []
+    assert fields(card, LAB, HARDWARE_PROBES) == ["mm/px", "F/T frame"]
+    with pytest.raises(InputError, match="49 of 50 hardware probes evaluated"):
+        check_alone(card, misfits(card, lab, card.geometry, 1.0, 49), "model")
+
+
+def test_a_model_of_real_probes_is_no_model_of_the_simulation(card: Card) -> None:
+    real = card.model_copy(update={"simulated": False, "benches": (LAB,)})
+    assert fields(real, HERE)[0] == "bench mode"
+
+
+def test_noise_is_no_part_of_the_bench_hash() -> None:
+    quiet = simulated_facts(SimulationSettings.model_validate({"preset": "quiet"}))
+    assert quiet == HERE
+    turned = SimulationSettings.model_validate({"wrist": {"yaw_rad": 0.1}})
+    assert simulated_facts(turned).sha256 != HERE.sha256
+
+
+def test_auto_is_refused_and_step_is_not(tmp_path: Path, card: Card) -> None:
+    checkpoint = load_checkpoint(model_in_use("pot", None))
+    other = card.model_copy(update={"benches": (HERE.model_copy(update={"ft_frame": "flange"}),)})
+    model = tmp_path / "pot.safetensors"
+    save_checkpoint(model, checkpoint.arrays, other)
+    piece, request = load_catalogue().piece("pot"), StackRequest(model=str(model))
+    models = Models(None, HERE, 1.0)
+    with pytest.raises(InputError, match="auto mode here: F/T frame"):
+        models.check(request.scene(), piece)
+    assert models.check(StackRequest(model=str(model), mode="step").scene(), piece) is not None
+    session = simulated_session(SimulatedBenchChoice(preset="off"), keep=Keep(None))
+    with pytest.raises(InputError, match="F/T frame"):
+        session.run(request)
+    session.close()
+
+
+def test_the_session_takes_the_model_in_use(tmp_path: Path, card: Card) -> None:
+    checkpoint = load_checkpoint(model_in_use("pot", None))
+    arrays = {**checkpoint.arrays, "head.bias": checkpoint.arrays["head.bias"] + 1}
+    model = tmp_path / "pot.safetensors"
+    mine = save_checkpoint(model, arrays, card)
+    registry = Registry(tmp_path / "models")
+    models, piece = Models(registry, HERE, 1.0), load_catalogue().piece("pot")
+
+    def in_use() -> str:
+        loaded = models.of(SceneChoice(), piece)
+        assert loaded is not None
+        return loaded.card.weights_sha256
+
+    assert in_use() == card.weights_sha256
+    registry.promote(model)
+    assert in_use() == mine.weights_sha256
+    registry.roll_back("pot")
+    assert in_use() == card.weights_sha256

@@ -1,0 +1,144 @@
+"""A training is kept as a run: curves, model, manifest, samples; and can be gone on with."""
+
+import json
+from collections.abc import Callable
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from backend.config.method import TrainingSettings
+from backend.core.faults import FaultError, InputError
+from backend.dataset.rows import load_rows
+from backend.learning.job import Epoch, Finished, Loaded
+from backend.learning.metrics import calibration_error, reliability
+from backend.learning.overview import Candidate, candidates, overview
+from backend.learning.recorded import RecordedTraining, TrainingRequest, request_of
+from backend.learning.samples import load_samples
+from backend.learning.training_runs import read_training_run, training_runs
+
+Data = Callable[[Path, int], Path]
+SMALL = TrainingSettings(hidden=12, epochs=3, batch=8, validation_share=0.25)
+ENDLESS = SMALL.model_copy(update={"epochs": 100_000, "patience": 100_000})
+
+
+def test_a_finished_training_is_kept_whole(tmp_path: Path, write_data: Data) -> None:
+    data = write_data(tmp_path / "data", 24)
+    training = RecordedTraining(TrainingRequest(data, "pot", SMALL))
+    reports = list(training.reports())
+    assert [type(r) for r in reports] == [Loaded, Epoch, Epoch, Epoch, Finished]
+    (run,) = training_runs(data)
+    epochs = [r for r in reports if isinstance(r, Epoch)]
+    assert run.state == "finished"
+    assert run.curves["iou"] == tuple((e.epoch, e.iou) for e in epochs)
+    assert run.reliability[2] == epochs[1].reliability
+    assert run.value("calibration_error", 3) == calibration_error(epochs[2].reliability)
+    assert run.best_epoch == epochs[-1].best_epoch
+    assert run.card is not None
+    assert run.about.params["piece"] == "pot"
+    manifest = (run.folder / "manifest.json").read_bytes()
+    assert run.card.manifest_sha256 == run.about.manifest == sha256(manifest).hexdigest()
+    sides = [e["split"] for e in json.loads(manifest)["episodes"]]
+    held_out = next(r for r in reports if isinstance(r, Loaded)).held_out
+    assert sides.count("held out") == held_out
+    figures = run.card.metrics["validation"]
+    bottoms = figures["bottoms"]
+    assert sum(b["episodes"] for b in bottoms.values()) == held_out
+    mean = sum(b["episodes"] * b["iou"] for b in bottoms.values()) / held_out
+    assert mean == pytest.approx(figures["iou"], abs=1e-4)
+    samples = load_samples(run.folder)
+    truth = {str(label["episode"]): i for i, label in enumerate(load_rows(data).labels)}
+    assert [s.iou for s in samples] == sorted((s.iou for s in samples), reverse=True)
+    assert all(
+        np.array_equal(s.truth, load_rows(data).patch[truth[s.episode]]) for s in samples[:2]
+    )
+    assert not run.can_resume
+
+
+def test_cancelled_and_gone_on_with_equals_uninterrupted(tmp_path: Path, write_data: Data) -> None:
+    data = write_data(tmp_path / "data", 24)
+    longer = SMALL.model_copy(update={"epochs": 40, "patience": 40})
+    whole = RecordedTraining(TrainingRequest(data, "pot", longer))
+    list(whole.reports())
+    first = RecordedTraining(TrainingRequest(data, "pot", longer))
+    for report in first.reports():
+        if isinstance(report, Epoch) and report.epoch == 2:
+            first.cancel()
+    cut = read_training_run(first.folder)
+    assert cut.state == "cancelled"
+    assert cut.can_resume
+    second = RecordedTraining(request_of(cut, data))
+    list(second.reports())
+    one, two = read_training_run(whole.folder), read_training_run(second.folder)
+    assert two.about.params["resumed"] == cut.uuid
+    assert two.curves == one.curves
+    assert two.reliability == one.reliability
+    assert two.model.read_bytes() == one.model.read_bytes()
+    with pytest.raises(InputError, match="nothing to go on with"):
+        request_of(two, data)
+
+
+def test_a_killed_child_leaves_a_failed_run(tmp_path: Path, write_data: Data) -> None:
+    data = write_data(tmp_path / "data", 24)
+    training = RecordedTraining(TrainingRequest(data, "pot", ENDLESS))
+    reports = training.reports()
+    assert isinstance([next(reports), next(reports)][1], Epoch)
+    assert training._child is not None
+    training._child._child.kill()
+    with pytest.raises(FaultError, match="ended early"):
+        list(reports)
+    (run,) = training_runs(data)
+    assert (run.state, run.can_resume) == ("failed", True)
+    assert "ended early" in run.about.reason
+
+
+def test_a_refusal_is_kept_as_the_reason(tmp_path: Path, write_data: Data) -> None:
+    data = write_data(tmp_path / "data", 24)
+    with pytest.raises(InputError, match="of 'barrel'"):
+        list(RecordedTraining(TrainingRequest(data, "barrel", SMALL)).reports())
+    (run,) = training_runs(data)
+    assert (run.state, run.can_resume) == ("failed", False)
+
+
+def test_reliability_of_known_probabilities() -> None:
+    probability = np.array([[0.05, 0.05, 0.95, 1.0]])
+    truth = np.array([[False, True, True, True]])
+    bins = reliability(probability, truth)
+    assert bins == ((0.05, 0.5, 2), (0.975, 1.0, 2))
+    assert calibration_error(bins) == pytest.approx((2 * 0.45 + 2 * 0.025) / 4)
+    rng = np.random.default_rng(1)
+    p = rng.uniform(size=(400, 500))
+    assert calibration_error(reliability(p, rng.uniform(size=p.shape) < p)) < 0.01
+
+
+def test_the_overview_counts_what_training_will_see(tmp_path: Path, write_data: Data) -> None:
+    data = write_data(tmp_path / "data", 24)
+    seen = overview(candidates(data, "approved"), "", 0.25, 0)
+    (loaded, *_) = RecordedTraining(TrainingRequest(data, "pot", SMALL)).reports()
+    assert isinstance(loaded, Loaded)
+    assert (seen.piece, seen.train + seen.held_out) == ("pot", loaded.episodes)
+    assert (seen.held_out, seen.kept_together) == (loaded.held_out, loaded.kept_together)
+    assert [(p.bottom, p.train + p.held_out) for p in seen.pairs] == [
+        ("circle15", 12),
+        ("short", 12),
+    ]
+    assert seen.warnings[0].startswith("Leakage: 1 mounting is on both sides")
+
+
+def of(count: int, mountings: int, content: str = "") -> list[Candidate]:
+    return [
+        Candidate("pot", "short", f"g{i}", f"m{i % mountings}", content or f"{i}")
+        for i in range(count)
+    ]
+
+
+def test_leakage_is_told() -> None:
+    whole = overview(of(400, 40), "pot", 0.1, 0)
+    assert (whole.kept_together, whole.warnings) == ("mounting", ())
+    twins = overview(of(400, 40, "same"), "pot", 0.1, 0)
+    assert "training has a copy" in twins.warnings[0]
+    single = overview([Candidate("pot", "short", "g", "m")] * 9, "pot", 0.1, 0)
+    assert "one grip" in single.error
+    assert single.pairs[0].train == 9
+    assert overview([], "", 0.1, 0).error

@@ -1,0 +1,120 @@
+"""Promote, roll back, and what is left after a crash."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from backend.core.faults import InputError
+from backend.learning.checkpoint import Card, Sizes, load_checkpoint, save_checkpoint
+from backend.learning.registry import HISTORY, SHIPPED, Registry
+from backend.learning.shape import ARCH, Shape, expected_arrays
+
+Make = Callable[[str, int], Path]
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Make:
+    def made(piece: str, seed: int) -> Path:
+        shape = Shape(6, 2, 1, 3)
+        rng = np.random.default_rng(seed)
+        arrays = {
+            name: rng.uniform(0.5, 1.0, size).astype(np.float32)
+            for name, size in expected_arrays(shape).items()
+        }
+        card = Card(
+            arch=ARCH, hyper=Sizes(**shape.as_json()), modality="FT", piece=piece, geometry="g",
+            base_rate=0.5, seed=seed, program_version="0", weights_sha256="",
+        )  # fmt: skip
+        path = tmp_path / f"{piece}-{seed}.safetensors"
+        save_checkpoint(path, arrays, card)
+        return path
+
+    return made
+
+
+def sha(path: Path | None) -> str:
+    assert path is not None
+    return load_checkpoint(path).card.weights_sha256
+
+
+def test_the_shipped_model_is_in_use_until_another_is(tmp_path: Path, make: Make) -> None:
+    registry = Registry(tmp_path / "models")
+    assert (registry.in_use("pot"), registry.before("pot"), registry.history()) == (None, None, [])
+    one, two = make("pot", 1), make("pot", 2)
+    registry.promote(one, "Ann", "run-1")
+    registry.promote(two, "Ben", "run-2")
+    assert sha(registry.in_use("pot")) == sha(two)
+    assert registry.before("pot") == sha(one)
+    assert registry.in_use("barrel") is None
+    assert registry.roll_back("pot", "Ann").weights_sha256 == sha(one)
+    assert registry.roll_back("pot").weights_sha256 == SHIPPED
+    assert registry.in_use("pot") is None
+    with pytest.raises(InputError, match="never changed"):
+        registry.roll_back("pot")
+    told = [(use.action, use.person, use.run) for use in registry.history("pot")]
+    assert told == [
+        ("promote", "Ann", "run-1"), ("promote", "Ben", "run-2"),
+        ("roll back", "Ann", ""), ("roll back", "", ""),
+    ]  # fmt: skip
+
+
+def test_promoting_what_is_in_use_changes_nothing(tmp_path: Path, make: Make) -> None:
+    registry, model = Registry(tmp_path / "models"), make("pot", 1)
+    assert registry.promote(model) == registry.promote(model)
+    assert len(registry.history()) == 1
+
+
+def test_a_model_in_use_survives_its_training_folder(tmp_path: Path, make: Make) -> None:
+    registry, model = Registry(tmp_path / "models"), make("pot", 1)
+    wanted = sha(model)
+    registry.promote(model)
+    model.unlink()
+    model.with_suffix(".json").unlink()
+    assert sha(registry.in_use("pot")) == wanted
+
+
+def test_a_damaged_model_is_never_put_in_use(tmp_path: Path, make: Make) -> None:
+    registry, model = Registry(tmp_path / "models"), make("pot", 1)
+    model.write_bytes(model.read_bytes()[:-4] + b"\0\0\0\0")
+    with pytest.raises(InputError, match="SHA-256"):
+        registry.promote(model)
+    assert registry.in_use("pot") is None
+
+
+def test_a_torn_line_of_the_history_is_passed_over(tmp_path: Path, make: Make) -> None:
+    registry, one, two = Registry(tmp_path / "models"), make("pot", 1), make("pot", 2)
+    registry.promote(one)
+    file = registry.folder / HISTORY
+    whole = file.read_bytes()
+    file.write_bytes(whole + whole[: len(whole) // 2])
+    assert sha(registry.in_use("pot")) == sha(one)
+    registry.promote(two)
+    assert sha(registry.in_use("pot")) == sha(two)
+    assert file.read_bytes().startswith(whole)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        '{"piece": "../x", "action": "promote", "weights_sha256": "", "at_ns": 1}',
+        '{"piece": "pot", "action": "promote", "weights_sha256": "../x", "at_ns": 1}',
+        '{"piece": "pot", "action": "forget", "weights_sha256": "", "at_ns": 1}',
+        '{"piece": "pot"}',
+    ],
+)
+def test_a_history_made_by_others_names_no_foreign_file(tmp_path: Path, line: str) -> None:
+    registry = Registry(tmp_path)
+    (tmp_path / HISTORY).write_text(line + "\n")
+    with pytest.raises(InputError, match="damaged"):
+        registry.in_use("pot")
+
+
+def test_hardware_probes_are_counted_per_model(tmp_path: Path) -> None:
+    registry = Registry(tmp_path)
+    assert registry.hardware_probes("a") == 0
+    registry.note_hardware("a", 20, 0.7, 0.8)
+    registry.note_hardware("a", 60, 0.7, 0.8)
+    registry.note_hardware("b", 90, 0.7, 0.8)
+    assert registry.hardware_probes("a") == 60

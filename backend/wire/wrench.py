@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from backend.wire.framing import WireError
+
 Three = tuple[float, float, float]
 
 
@@ -21,6 +23,8 @@ NO_WRENCH = Wrench((math.nan, math.nan, math.nan), (math.nan, math.nan, math.nan
 
 
 def wrench_of(values: Sequence[float]) -> Wrench:
-    """Return the wrench of six values, forces first."""
+    """Return the wrench of six values, forces first; raises ``WireError`` for another number."""
+    if len(values) != 6:
+        raise WireError("length", "wrench", len(values))
     fx, fy, fz, mx, my, mz = values
     return Wrench((fx, fy, fz), (mx, my, mz))

@@ -77,6 +77,11 @@ def test_ft300_refusal():
     assert message == robotiq_ft300.Refused(3, 2)
 
 
+def test_ft300_registers_of_another_count_are_no_wrench():
+    with pytest.raises(WireError):
+        robotiq_ft300.Registers((1, 2, 3)).wrench()
+
+
 def test_bota_marked_values_are_never_handed_on():
     (frame,) = bota.incoming().feed(data("bota-frame-invalid"))
     assert not frame.usable

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
+from backend.catalogue.dataset import Dataset
+from backend.core.facts import Decision
 from backend.core.flow import Finger, MarkerField, TactileFrame
 from backend.core.hub import Hub
 from backend.core.stream import SampleStream, Stream
@@ -39,6 +41,8 @@ class Link(Protocol):
     wrench: SampleStream
     catalogue: Catalogue
     pace: float
+    dataset: Dataset | None
+    """Takes what is collected; set while no run goes on."""
 
     @property
     def engine(self) -> EngineLink:
@@ -69,6 +73,9 @@ class Link(Protocol):
 
     def answer(self, yes: bool) -> None:
         """Approve or decline the action that waits."""
+
+    def decide(self, decision: Decision) -> None:
+        """Keep, discard, redo, flag or skip the newest collected episode; never waits."""
 
     def open(self) -> None:
         """Start the live thread."""

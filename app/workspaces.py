@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from app.label.workspace import LabelWorkspace
+from app.collect.workspace import CollectWorkspace
 from app.operate.workspace import OperateWorkspace
 from app.review.workspace import ReviewWorkspace
 from app.stack.workspace import StackWorkspace
@@ -12,7 +12,7 @@ from app.workspace import Desk, Workspace
 
 WORKSPACES: tuple[Callable[[Desk], Workspace], ...] = (
     OperateWorkspace,
-    LabelWorkspace,
+    CollectWorkspace,
     StackWorkspace,
     ReviewWorkspace,
 )

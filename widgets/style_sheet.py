@@ -74,6 +74,11 @@ QComboBox, QAbstractSpinBox, QLineEdit {{ background: {bg}; color: {text};
 QComboBox:disabled, QAbstractSpinBox:disabled, QLineEdit:disabled {{ color: {muted};
     border-color: {hairline}; background: {panel}; }}
 QComboBox::drop-down {{ border: none; width: 22px; }}
+QCheckBox::indicator {{ width: 13px; height: 13px; border: 1px solid {border};
+    border-radius: 3px; background: {bg}; }}
+QCheckBox::indicator:checked {{ image: url(icons:tick-{name}.svg); }}
+QCheckBox::indicator:disabled {{ border-color: {hairline}; }}
+QCheckBox::indicator:focus {{ border: 2px solid {focus}; }}
 QComboBox::down-arrow {{ image: url(icons:down-{name}.svg); width: 10px; height: 10px; }}
 QComboBox::down-arrow:disabled {{ image: none; }}
 QComboBox QAbstractItemView {{ background: {raised}; color: {text}; border: 1px solid {border};

@@ -62,11 +62,15 @@ class Halves(QWidget):
         self._entered = entered
 
     def show_half(self, name: str) -> None:
-        """Bring a half to the front."""
+        """Bring a half to the front, and tell."""
+        self.bring(name)
+        self._entered(name)
+
+    def bring(self, name: str) -> None:
+        """Bring a half to the front of a page that may not be in front itself."""
         at = self._names.index(name)
         self._stack.setCurrentIndex(at)
         self._buttons.button(at).setChecked(True)
-        self._entered(name)
 
 
 def _nothing(_name: str) -> None:

@@ -37,11 +37,14 @@ class LabelWorkspace(Workspace):
     name, title, key = "collect", "Collect", "Ctrl+2"
     page: Halves
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: Desk, page: Halves) -> None:
         self._desk, self.folder = desk, default_folder()
         self.sitting = Sitting()
         self.label_page = LabelPage(desk.theme, self._intents())
-        self.page = Halves()
+        self.page = page
+        self.opened: Callable[[Opened], None] = _nobody
+        """Told when the dataset is open."""
+        self.person_changed: Callable[[str], None] = _nobody
         self.page.add("label", "Label", self.label_page)
         self.post = Post(self.page)
         self.commits: Commits | None = None
@@ -62,7 +65,7 @@ class LabelWorkspace(Workspace):
         if not self.sitting.person:
             self._ask_person()
         elif self.presenter is None:
-            self._open()
+            self.open()
         else:
             self.presenter.read_queue()
 
@@ -120,7 +123,10 @@ class LabelWorkspace(Workspace):
         """Take the row height of the theme."""
         self.label_page.list.fit_to_theme()
 
-    def _open(self) -> None:
+    def open(self) -> None:
+        """Open the dataset, once somebody is named; opening twice does no harm."""
+        if self.presenter is not None or not self.sitting.person:
+            return
         if self.commits is None:
             self.commits = Commits(self.post)
         elif self.commits.busy:
@@ -143,6 +149,7 @@ class LabelWorkspace(Workspace):
             if notice:
                 self._desk.cards.show_card(CardText("DATASET", notice, "", "", reset=False))
         self.presenter.read_queue()
+        self.opened(opened)
 
     def _failed(self, error: Exception) -> None:
         fix = error.fix if isinstance(error, InputError) else "Look at the folder."
@@ -155,9 +162,10 @@ class LabelWorkspace(Workspace):
     # -- who --------------------------------------------------------------------------------------
 
     def _ask_person(self) -> None:
-        self.label_page.ask_words("Your name", self.sitting.person, self._take_person)
+        self.label_page.ask_words("Your name", self.sitting.person, self.be)
 
-    def _take_person(self, name: str) -> None:
+    def be(self, name: str) -> None:
+        """Go on as ``name``: the first one opens the dataset."""
         try:
             person = check_person(name)
         except TouchdownError as error:
@@ -165,7 +173,7 @@ class LabelWorkspace(Workspace):
             return
         if self.presenter is None:
             self._be(person)
-            self._open()
+            self.open()
         else:
             self.presenter.flushed(lambda: self._switch(person))
 
@@ -186,6 +194,7 @@ class LabelWorkspace(Workspace):
         page.person.setText(sitting.person or "nobody")
         page.person.setAccessibleName(f"Person: {page.person.text()}")
         page.queue.setCurrentIndex([name for name, _ in QUEUES].index(sitting.queue))
+        self.person_changed(sitting.person)
 
     # -- keys -------------------------------------------------------------------------------------
 
@@ -322,6 +331,10 @@ def _is_name(person: str) -> bool:
         return check_person(person) == person
     except TouchdownError:
         return False
+
+
+def _nobody(_what: object) -> None:
+    """Do nothing: nobody waits for this."""
 
 
 def _nothing() -> None:

@@ -7,6 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.values import EpisodeContext, EpisodeEntry, Label
@@ -54,9 +55,15 @@ def measured(episode: Episode, origin: Origin, settings: CollectSettings) -> Mea
     return Measured(np.array([x - origin.x_mm, y - origin.y_mm]), sigma_mm, z)
 
 
-def last_signals(episode: Episode) -> tuple[float, float, float, float, float]:
-    """Return what the distribution is coloured by: marker shift u, v; Tx, Ty, Fz; last tick."""
-    last = np.asarray(episode.observation[-1], dtype=np.float64)
+Signals = tuple[float, float, float, float, float]
+
+
+def last_signals(observation: NDArray[np.float32]) -> Signals:
+    """Return what the distribution is coloured by: marker shift u, v; Tx, Ty, Fz; last tick.
+
+    ``observation`` (20, 258) as in ``Episode``.
+    """
+    last = np.asarray(observation[-1], dtype=np.float64)
     shifts = last[:TACTILE_CHANNELS].reshape(2, 2, MARKERS)
     u_px, v_px = (_largest(shifts[:, axis]) for axis in range(2))
     fz, tx, ty = (float(last[TACTILE_CHANNELS + channel]) for channel in (2, 3, 4))

@@ -117,7 +117,7 @@ class Collector:
             commanded_mm=_pair(episode.offset_mm),
             measured_mm=_pair(where.offset_mm),
             sigma_mm=where.sigma_mm,
-            signals=last_signals(episode),
+            signals=last_signals(episode.observation),
             slip_mm=episode.quality.slip_mm,
             drift_mm=taken.drift_mm,
             reasons="; ".join(episode.quality.reasons),

@@ -99,6 +99,7 @@ class StandInBench:
 
     simulated = True
     hand = None
+    dataset = None
 
     def __init__(self):
         self.hub, self.interlock, self.catalogue = Hub(), Interlock(), load_catalogue()
@@ -110,6 +111,7 @@ class StandInBench:
         rates = {"arm": 100.0, "gripper": 20.0, "force_torque": 1000.0,
                  "tactile_left": 25.0, "tactile_right": 25.0}  # fmt: skip
         self.devices = {name: StandInDevice(name, rate) for name, rate in rates.items()}
+        self.decisions = []
         self.started, self.answers, self.stops, self.resets = [], [], 0, 0
         self.opened = self.closed = False
         self._status = RunStatus(RunState.IDLE)
@@ -147,6 +149,9 @@ class StandInBench:
 
     def answer(self, yes):
         self.answers.append(yes)
+
+    def decide(self, decision):
+        self.decisions.append(decision)
 
     def open(self):
         self.opened = True

@@ -56,7 +56,9 @@ def _walk(folder: Path) -> list[Figure]:
     application = QApplication.instance() or QApplication([])
     assert isinstance(application, QApplication)
     window = TouchdownApp(application, ErrorBox(), folder / "window.json", folder / "runs")
-    workspace = window.workspaces["collect"]
+    both = window.workspaces["collect"]
+    both.page.bring("label")  # type: ignore[attr-defined]
+    workspace = both.label  # type: ignore[attr-defined]
     workspace.recall({"person": "Ann", "sigma_mm": 0.2})
     window.window.show()
     window.go("collect")

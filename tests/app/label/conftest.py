@@ -79,7 +79,9 @@ class Desk:
     """One window, used as a person uses it."""
 
     def __init__(self, main: TouchdownApp, qtbot) -> None:
-        self.main, self.workspace, self._qtbot = main, main.workspaces["collect"], qtbot
+        self.main, self._qtbot = main, qtbot
+        self.workspace = main.workspaces["collect"].label
+        main.workspaces["collect"].page.bring("label")
         self.page = self.workspace.label_page
 
     @property

@@ -1,0 +1,1 @@
+"""The Collect half of the workspace "Collect & Label": campaigns on the bench."""

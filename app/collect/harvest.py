@@ -1,0 +1,192 @@
+"""The probes of one pair as the page holds them: what the maps, the table and the checks show."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+
+import numpy as np
+
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.values import EpisodeEntry, EpisodeFilter
+from backend.core.faults import InputError
+from backend.core.flow import EpisodeQuality, FloatArray
+from backend.dataset.coverage import Coverage, coverage
+from backend.dataset.health import Examined
+from backend.objects.shapes import Outline
+from backend.runs.collect_report import examined
+from backend.runs.collected import Signals, last_signals
+from widgets.distribution_view import Bins, DistributionScene, reach_of
+from widgets.episode_table import EpisodeRow
+
+SIGNALS: tuple[tuple[str, str, float], ...] = (
+    ("Largest marker shift u", "px", 1.0),
+    ("Largest marker shift v", "px", 1.0),
+    ("Tx", "mN\N{MIDDLE DOT}m", 1e3),
+    ("Ty", "mN\N{MIDDLE DOT}m", 1e3),
+    ("Fz", "N", 1.0),
+)
+"""What the distribution is coloured by, in the order of ``ProbeCollected.signals``."""
+MOST_READ = 400
+"""Signals of so many of the newest probes are read when a dataset is opened."""
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """One probe: its row of the index, where it was, and its signals if they were read."""
+
+    entry: EpisodeEntry
+    offset_mm: tuple[float, float]
+    seen: Examined | None = None
+    signals: Signals | None = None
+
+    @property
+    def counts(self) -> bool:
+        """Whether it is an observation that nobody discarded."""
+        return self.entry.quality.accepted and not self.entry.deleted
+
+
+def read_probe(dataset: Dataset, entry: EpisodeEntry, *, signals: bool) -> Held:
+    """Read one probe; a damaged file leaves its signals unknown."""
+    x_mm, y_mm = dataset.labels.head(entry.uuid).label.offset_mm.tolist()
+    held = Held(entry, (x_mm, y_mm))
+    if not signals or entry.deleted:
+        return held
+    try:
+        (seen,) = examined(dataset, [entry])
+    except InputError:
+        return held
+    return replace(held, seen=seen, signals=last_signals(seen.observation))
+
+
+def read_pair(dataset: Dataset, piece: str, bottom: str) -> list[Held]:
+    """Read the probes of a pair, oldest first; signals of the newest ``MOST_READ`` only."""
+    entries = dataset.episodes(EpisodeFilter(piece=piece, bottom=bottom, deleted=None))
+    late = len(entries) - MOST_READ
+    return [read_probe(dataset, e, signals=at >= late) for at, e in enumerate(entries)]
+
+
+class Harvest:
+    """The probes of one pair in the order in which they were recorded."""
+
+    def __init__(self, face: Outline, bottom: Outline, held: Iterable[Held] = ()) -> None:
+        self._face, self._bottom = face, bottom
+        self._outline = bottom.polygon(96)
+        self._held = {h.entry.uuid: h for h in held}
+        self._none = coverage(np.zeros((0, 2)), face, bottom)
+        self._coverage: Coverage | None = None
+
+    def __len__(self) -> int:
+        return len(self._held)
+
+    def __contains__(self, uuid: object) -> bool:
+        return uuid in self._held
+
+    def put(self, held: Held) -> None:
+        """Take a probe, or a later state of one."""
+        before = self._held.get(held.entry.uuid)
+        if before is not None and held.seen is None:
+            held = replace(held, seen=before.seen, signals=before.signals)
+        self._held[held.entry.uuid] = held
+        self._coverage = None
+
+    def get(self, uuid: str) -> Held | None:
+        """Return one probe, None if it is not of this pair."""
+        return self._held.get(uuid)
+
+    @property
+    def newest(self) -> str:
+        """Uuid of the probe that was recorded last, "" if there is none."""
+        return next(reversed(self._held), "")
+
+    @property
+    def examined(self) -> list[Examined]:
+        """What the health checks look at."""
+        return [h.seen for h in self._held.values() if h.seen is not None and not h.entry.deleted]
+
+    @property
+    def covered(self) -> Coverage:
+        """Coverage by the observations that count."""
+        if self._coverage is None:
+            offsets = np.array([h.offset_mm for h in self._held.values() if h.counts])
+            self._coverage = coverage(offsets.reshape(-1, 2), self._face, self._bottom)
+        return self._coverage
+
+    # -- shown ------------------------------------------------------------------------------------
+
+    def shown(self) -> list[Held]:
+        """Return what is drawn as dots: all that is not deleted and has a displacement."""
+        return [
+            h for h in self._held.values() if not h.entry.deleted and np.isfinite(h.offset_mm).all()
+        ]
+
+    def distribution(self, signal: int, chosen: str) -> DistributionScene:
+        """Return the dots, coloured by one of ``SIGNALS``."""
+        shown = self.shown()
+        name, unit, scale = SIGNALS[signal]
+        values = np.array([np.nan if h.signals is None else scale * h.signals[signal]
+                           for h in shown], dtype=np.float64)  # fmt: skip
+        return replace(self._scene(shown, chosen), values=values, title=f"{name} ({unit})")
+
+    def bins(self, chosen: str) -> DistributionScene:
+        """Return counts per bin."""
+        seen = self.covered
+        bins = Bins(seen.counts, seen.possible, seen.centre_mm(0, 0), seen.bin_mm)
+        return replace(self._scene(self.shown(), chosen), bins=bins, title="episodes per bin")
+
+    def _scene(self, shown: Sequence[Held], chosen: str) -> DistributionScene:
+        points = np.array([h.offset_mm for h in shown], dtype=np.float64).reshape(-1, 2)
+        uuids = [h.entry.uuid for h in shown]
+        return DistributionScene(
+            bottom=self._outline,
+            points_mm=points,
+            values=np.zeros(len(shown)),
+            refused=np.array([not h.entry.quality.accepted for h in shown], dtype=np.bool_),
+            flagged=np.array([h.entry.flagged for h in shown], dtype=np.bool_),
+            chosen=uuids.index(chosen) if chosen in uuids else -1,
+            reach_mm=reach_of(self._outline, np.concatenate([points, self._corners()])),
+        )
+
+    def _corners(self) -> FloatArray:
+        """Return the outermost bins that can be probed, so that the scale does not jump."""
+        rows, columns = np.nonzero(self._none.possible)
+        return np.array(
+            [
+                self._none.centre_mm(i, j)
+                for i, j in zip(rows.tolist(), columns.tolist(), strict=True)
+            ]
+        ).reshape(-1, 2)
+
+    def rows(self, *, deleted: bool) -> list[EpisodeRow]:
+        """Return the table, newest first."""
+        made = [row_of(at, h) for at, h in enumerate(self._held.values(), 1)]
+        return [row for row in reversed(made) if deleted or not row.deleted]
+
+
+def row_of(number: int, held: Held) -> EpisodeRow:
+    """Write one probe as a row of the table."""
+    entry = held.entry
+    local = datetime.fromtimestamp(entry.recorded_ns * 1e-9, UTC).astimezone()
+    today = datetime.now(UTC).astimezone().date()
+    return EpisodeRow(
+        entry.uuid,
+        str(number),
+        "deleted" if entry.deleted else entry.state,
+        quality_words(entry.quality),
+        pair_words(held.offset_mm),
+        f"{local:%H:%M:%S}" if local.date() == today else f"{local:%y-%m-%d}",
+        flagged=entry.flagged,
+        deleted=entry.deleted,
+    )
+
+
+def quality_words(quality: EpisodeQuality) -> str:
+    """Return "ok" or the first reason against it."""
+    return "ok" if quality.accepted else "; ".join(quality.reasons) or "refused"
+
+
+def pair_words(at_mm: tuple[float, float]) -> str:
+    """Write a displacement such as "+1.5, +0.3"."""
+    x, y = (f"{v:+.1f}".replace("-", "\N{MINUS SIGN}") for v in at_mm)
+    return f"{x}, {y}"

@@ -1,0 +1,169 @@
+"""Where everything of the Collect half stands: target, feel and maps, then the probes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QFontMetrics, QResizeEvent
+from PySide6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QVBoxLayout, QWidget
+
+from app.collect.harvest import SIGNALS
+from backend.core.flow import FINGERS, Finger
+from widgets.distribution_view import DistributionView
+from widgets.elided import ElidedLabel
+from widgets.episode_table import EpisodeTable
+from widgets.force_traces import TracePlot
+from widgets.freshness import Age
+from widgets.last_probe_panel import HealthPanel, LastProbePanel
+from widgets.panel import Captioned, Panel
+from widgets.tactile_view import TactileView
+from widgets.target_panel import TargetIntents, TargetPanel
+from widgets.theme import Theme, ui_font
+
+FINGER_SHARE = 0.3
+"""The thumbnails take at most this share of the page's height: the maps need the rest."""
+
+
+@dataclass(frozen=True, slots=True)
+class CollectIntents:
+    """What the operator can ask for on this page."""
+
+    target: TargetIntents
+    decide: Callable[[str], None]
+    choose_dot: Callable[[int], None]
+    choose_row: Callable[[str], None]
+    signal: Callable[[int], None]
+    deleted: Callable[[bool], None]
+
+
+class CollectPage(QWidget):
+    """Target on the left, live views and maps in the middle, probes on the right."""
+
+    def __init__(self, theme: Theme, intents: CollectIntents) -> None:
+        super().__init__()
+        self.setObjectName("frame")
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self._theme = theme
+        self.target = TargetPanel(theme, intents.target)
+        titles = {"left": "Left", "right": "Right"}
+        self.tactile: dict[Finger, TactileView] = {f: TactileView(theme, f) for f in FINGERS}
+        self.captions = {f: Captioned(titles[f], self.tactile[f]) for f in FINGERS}
+        self.force = TracePlot(theme, "Force", "F", "N", 10.0)
+        self.moment = TracePlot(theme, "Moment", "T", "N\N{MIDDLE DOT}m", 0.2)
+        choose = intents.choose_dot
+        self.coverage = DistributionView(theme, "Coverage of the displacements", choose)
+        self.distribution = DistributionView(theme, "Distribution of the displacements", choose)
+        self.signal = QComboBox()
+        self.signal.addItems([f"{name} ({unit})" for name, unit, _ in SIGNALS])
+        self.signal.setProperty("role", "compact")
+        self.signal.setAccessibleName("Signal that colours the dots")
+        self.signal.setToolTip("Colour the dots by this signal at the end of the press")
+        self.probe = LastProbePanel(intents.decide)
+        self.table = EpisodeTable(theme, intents.choose_row)
+        self.deleted = QCheckBox("Deleted too")
+        self.deleted.setToolTip("Show probes that were discarded")
+        self.health = HealthPanel()
+        self.recorder = ElidedLabel("small")
+        self.recorder.setAccessibleName("Recorder")
+        self.signal.currentIndexChanged.connect(intents.signal)
+        self.deleted.toggled.connect(intents.deleted)
+        self._arrange()
+
+    def heightForWidth(self, _width: int) -> int:
+        """Ask for no more than the least height: the views share what there is."""
+        return self.minimumHeight()
+
+    def fit(self) -> None:
+        """Fit the ranges of both plots."""
+        self.force.fit()
+        self.moment.fit()
+
+    def fit_to_theme(self) -> None:
+        """Give the controls the width that their text needs."""
+        em = QFontMetrics(ui_font(self._theme.scale)).height()
+        self._left.setMinimumWidth(round(17.5 * em))
+        self._left.setMaximumWidth(round(22 * em))
+        self._right.setMinimumWidth(round(22 * em))
+        self.table.fit_to_theme()
+        self.target.draw_icons()
+
+    def show_waiting(self, why: str) -> None:
+        """Say why nothing is shown yet."""
+        for view in self.tactile.values():
+            view.show_age(Age.NEVER, 0.0, why)
+        for plot in (self.force, self.moment):
+            plot.show_age(Age.NEVER, 0.0, why)
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Leave room for the maps."""
+        super().resizeEvent(event)
+        for view in self.tactile.values():
+            view.limit_height(round(FINGER_SHARE * self.height()))
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _arrange(self) -> None:
+        self._left, left = _column()
+        left.addWidget(self.target, 1)
+        middle = QVBoxLayout()
+        middle.setSpacing(8)
+        middle.addWidget(self._live_panel(), 4)
+        middle.addWidget(self._maps_panel(), 5)
+        self._right, right = _column()
+        right.addWidget(self.probe)
+        right.addWidget(self._table_panel(), 1)
+        right.addWidget(self.health)
+        right.addWidget(self._recorder_panel())
+        row = QHBoxLayout(self)
+        row.setContentsMargins(10, 8, 10, 8)
+        row.setSpacing(8)
+        row.addWidget(self._left, 5)
+        row.addLayout(middle, 11)
+        row.addWidget(self._right, 7)
+        self.fit_to_theme()
+
+    def _live_panel(self) -> Panel:
+        self.live = Panel("Live")
+        fingers, plots = QHBoxLayout(), QHBoxLayout()
+        for line in (fingers, plots):
+            line.setSpacing(10)
+        for caption in self.captions.values():
+            fingers.addWidget(caption, 1)
+        for plot in (self.force, self.moment):
+            plot.setMinimumSize(200, 76)
+            plots.addWidget(plot, 1)
+        self.live.column.addLayout(fingers)
+        self.live.column.addLayout(plots, 1)
+        return self.live
+
+    def _maps_panel(self) -> Panel:
+        self.maps = Panel("Displacements")
+        self.maps.header.addWidget(self.signal)
+        line = QHBoxLayout()
+        line.setSpacing(6)
+        self.coverage_caption = Captioned("Coverage", self.coverage)
+        self.distribution_caption = Captioned("Distribution", self.distribution)
+        line.addWidget(self.coverage_caption, 1)
+        line.addWidget(self.distribution_caption, 1)
+        self.maps.column.addLayout(line, 1)
+        return self.maps
+
+    def _table_panel(self) -> Panel:
+        self.episodes = Panel("Episodes", self.table)
+        self.episodes.header.addWidget(self.deleted)
+        return self.episodes
+
+    def _recorder_panel(self) -> Panel:
+        panel = Panel("Recorder")
+        panel.column.addWidget(self.recorder)
+        return panel
+
+
+def _column() -> tuple[QWidget, QVBoxLayout]:
+    holder = QWidget()
+    column = QVBoxLayout(holder)
+    column.setContentsMargins(0, 0, 0, 0)
+    column.setSpacing(8)
+    return holder, column

@@ -1,0 +1,198 @@
+"""The workspace "Collect & Label" as the frame sees it: two halves on one dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+
+from app.collect.by_half import by_half
+from app.collect.origin import note_of
+from app.collect.page import CollectIntents, CollectPage
+from app.collect.presenter import CollectPresenter
+from app.collect.request import form_of
+from app.label.commits import Commits
+from app.label.halves import Halves
+from app.label.opening import Opened
+from app.label.workspace import LabelWorkspace
+from app.link import Link
+from app.live import LivePresenter, LiveViews
+from app.workspace import Command, Desk, Memory, Workspace
+from backend.core.facts import Decision, Fact
+from backend.objects.catalogue import load_catalogue
+from widgets.target_panel import TargetForm, TargetIntents
+
+COLLECT, LABEL = "collect", "label"
+TITLES = {COLLECT: "Collect", LABEL: "Label"}
+
+
+class CollectWorkspace(Workspace):
+    """Collecting needs a bench, labelling does not; both work on the dataset that Label opens."""
+
+    name, title, key = "collect", "Collect", "Ctrl+2"
+    page: Halves
+
+    def __init__(self, desk: Desk) -> None:
+        self.page = Halves()
+        self.collect_page = CollectPage(desk.theme, self._intents())
+        self.page.add(COLLECT, TITLES[COLLECT], self.collect_page)
+        self.label = LabelWorkspace(desk, self.page)
+        self.reader = Commits(self.label.post, "collect-reader")
+        catalogue = load_catalogue()
+        self.presenter = CollectPresenter(self.collect_page, desk.cards, self.reader, catalogue)
+        self.collect_page.target.show_catalogue(
+            [(name, catalogue.piece(name).title) for name in catalogue.tops],
+            [(name, catalogue.piece(name).title) for name in catalogue.bottoms],
+        )
+        self.live: LivePresenter | None = None
+        self._link: Link | None = None
+        self.label.opened = self._take_dataset
+        self.label.person_changed = self._show_person
+        self.page.tell(self._half_came)
+        self.commands = by_half(
+            self.page, TITLES, {COLLECT: self._commands(), LABEL: self.label.commands}
+        )
+        self.held_keys = self.label.held_keys
+
+    # -- life -------------------------------------------------------------------------------------
+
+    def attach(self, link: Link) -> None:
+        """Show this bench."""
+        self._link, page = link, self.collect_page
+        self.live = LivePresenter(
+            link, LiveViews(page.tactile, page.captions, page.force, page.moment)
+        )
+        self.presenter.attach(link)
+        self.parts = (
+            self.live.draw_left, self.live.draw_right, self.live.draw_wrench,
+            self.live.draw_headers, self.presenter.draw, self.presenter.draw_maps,
+        )  # fmt: skip
+
+    def take(self, fact: Fact) -> None:
+        """Follow the runs."""
+        self.presenter.take(fact)
+
+    def show_waiting(self, word: str, why: str) -> None:
+        """Say why there is no bench yet."""
+        self.collect_page.show_waiting(why)
+
+    def enter(self) -> None:
+        """Open the dataset if somebody is named; label what came in meanwhile."""
+        self._half_came(self.page.front)
+
+    def leave(self) -> None:
+        """Save what is being labelled; a campaign goes on unseen."""
+        self.label.leave()
+
+    def fit_to_theme(self) -> None:
+        """Take the sizes of the theme."""
+        self.collect_page.fit_to_theme()
+        self.label.fit_to_theme()
+
+    def memory(self) -> Memory:
+        """Return what both halves remember."""
+        note = self.presenter.note
+        return {
+            **self.label.memory(),
+            "half": self.page.front,
+            "target": asdict(self.collect_page.target.form()),
+            "signal": self.collect_page.signal.currentIndex(),
+            "origin": None if note is None else note.memory(),
+        }
+
+    def recall(self, memory: Memory) -> Sequence[str]:
+        """Take what was remembered; return what makes no sense."""
+        dropped = list(self.label.recall(memory))
+        target, half = memory.get("target", {}), memory.get("half", COLLECT)
+        if isinstance(target, Mapping):
+            form, wrong = form_of(target)
+            dropped += wrong
+        else:
+            form = TargetForm()
+            dropped.append("target")
+        self.collect_page.target.show_form(form)
+        signal = memory.get("signal", 0)
+        if type(signal) is int and 0 <= signal < self.collect_page.signal.count():
+            self.collect_page.signal.setCurrentIndex(signal)
+        else:
+            dropped.append("signal")
+        try:
+            self.presenter.show_note(note_of(memory.get("origin")))
+        except ValueError:
+            dropped.append("origin")
+        if half in TITLES:
+            self.page.bring(str(half))
+        else:
+            dropped.append("half")
+        return dropped
+
+    def close(self) -> None:
+        """End the bench first: what it still records belongs into the dataset that closes here."""
+        if self._link is not None:
+            self._link.close()
+            self._link.dataset = None
+        self.reader.close()
+        self.label.close()
+
+    # -- the dataset ------------------------------------------------------------------------------
+
+    def _take_dataset(self, opened: Opened) -> None:
+        self.presenter.take_dataset(opened.dataset)
+
+    def _show_person(self, name: str) -> None:
+        self.presenter.person = name
+        self.collect_page.target.person.setText(name)
+
+    def _half_came(self, name: str) -> None:
+        if name == LABEL:
+            self.label.enter()
+            return
+        self.label.leave()
+        self.collect_page.setFocus()
+        self.label.open()
+        self.presenter.restyle()
+
+    def _be(self, name: str) -> None:
+        if name.strip() and name != self.presenter.person:
+            self.label.be(name)
+
+    # -- orders -----------------------------------------------------------------------------------
+
+    def _intents(self) -> CollectIntents:
+        # The presenter is made after its page: each intent looks it up when it is wanted.
+        target = TargetIntents(
+            start=lambda: self.presenter.start(),
+            go_on=lambda: self.presenter.go_on(),
+            pause=lambda: self.presenter.pause_or_resume(),
+            end=lambda: self.presenter.end(),
+            person=self._be,
+            take_origin=lambda: self.presenter.take_origin(),
+            pair=lambda: self.presenter.choose_pair(),
+        )
+        return CollectIntents(
+            target,
+            decide=self._decide,
+            choose_dot=lambda index: self.presenter.choose_dot(index),
+            choose_row=lambda uuid: self.presenter.choose(uuid),
+            signal=lambda _: self.presenter.restyle(),
+            deleted=lambda _: self.presenter.restyle(),
+        )
+
+    def _decide(self, name: str) -> None:
+        decisions: dict[str, Decision] = {
+            "keep": "keep", "discard": "discard", "flag": "flag", "redo": "redo", "skip": "skip",
+        }  # fmt: skip
+        self.presenter.decide(decisions[name])
+
+    def _commands(self) -> tuple[Command, ...]:
+        p, decide = self.presenter, self.presenter.decide
+        return (
+            Command("start", "Start, or keep and next", "F5", p.start),
+            Command("go-on", "Go on with the last campaign", "Shift+F5", p.go_on),
+            Command("pause", "Pause or resume", "P", p.pause_or_resume),
+            Command("keep", "Keep the probe", "Return", lambda: decide("keep")),
+            Command("discard", "Discard the probe", "Backspace", lambda: decide("discard")),
+            Command("flag-probe", "Flag the probe", "X", lambda: decide("flag")),
+            Command("again", "Redo the probe", "R", lambda: decide("redo")),
+            Command("leave-out", "Skip: leave its place out", "S", lambda: decide("skip")),
+            Command("fit", "Fit the force and moment ranges", "Ctrl+F", self.collect_page.fit),
+        )

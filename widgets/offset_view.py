@@ -21,7 +21,7 @@ Moved = Callable[[Point], None]
 
 
 class OffsetView(QWidget):
-    """Draws an ``OffsetScene``. The ground (grid, bottom, ghosts) is drawn once per episode."""
+    """Draws an ``OffsetScene``; what a nudge does not change is drawn once."""
 
     def __init__(self, theme: Theme, moved: Moved, dropped: Callable[[], None]) -> None:
         super().__init__()
@@ -30,7 +30,11 @@ class OffsetView(QWidget):
         self.editable = True
         self._held_mm: Point | None = None
         self._ground: QPixmap | None = None
-        self._key: tuple[object, ...] = ()
+        self._behind: QPixmap | None = None
+        self._ground_key: tuple[object, ...] = ()
+        self._pair: tuple[object, object] | None = None
+        """Kept, so that no other outline gets the identity by which the ground is known."""
+        self._behind_key: tuple[object, ...] = ()
         self.paints = 0
         self.setAccessibleName("Displacement of the grasped face")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
@@ -110,11 +114,28 @@ class OffsetView(QWidget):
         marks.draw_face(painter, area, self.scene, self._theme)
 
     def _background(self, scene: OffsetScene, area: PlotArea) -> QPixmap:
+        """Return the ground with the ghosts: drawn once per episode."""
+        key = (self._fitting_ground(scene, area), scene.yaw_rad, scene.ghosts)
+        if self._behind is None or key != self._behind_key:
+            assert self._ground is not None
+            self._behind, self._behind_key = QPixmap(self._ground), key
+            painter = QPainter(self._behind)
+            painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+            painter.setClipRect(area.rect)
+            try:
+                marks.draw_ghosts(painter, area, scene, self._theme)
+            finally:
+                painter.end()
+        return self._behind
+
+    def _fitting_ground(self, scene: OffsetScene, area: PlotArea) -> tuple[object, ...]:
+        """Have grid and bottom drawn, once per pair of faces; return what they depend on."""
         key = (self.size().toTuple(), self._theme.tokens.name, self._theme.scale,
-               id(scene.bottom), id(scene.face), scene.ghosts)  # fmt: skip
-        if self._ground is None or key != self._key:
+               id(scene.bottom), id(scene.face))  # fmt: skip
+        if self._ground is None or key != self._ground_key:
             ratio = self.devicePixelRatioF()
-            self._ground, self._key = QPixmap(self.size() * ratio), key
+            self._ground, self._ground_key = QPixmap(self.size() * ratio), key
+            self._pair = scene.bottom, scene.face
             self._ground.setDevicePixelRatio(ratio)
             self._ground.fill(self._theme.tokens.colour("panel"))
             painter = QPainter(self._ground)
@@ -124,8 +145,7 @@ class OffsetView(QWidget):
                 marks.draw_grid(painter, area, self._theme)
                 painter.setClipRect(area.rect)
                 marks.draw_bottom(painter, area, scene, self._theme)
-                marks.draw_ghosts(painter, area, scene, self._theme)
                 marks.draw_scale_bar(painter, area, self._theme)
             finally:
                 painter.end()
-        return self._ground
+        return key

@@ -8,34 +8,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
-from PySide6.QtCore import QPointF, QRectF, QSize, Qt
-from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap
+from PySide6.QtCore import QPointF, QSize, Qt
+from PySide6.QtGui import QImage, QMouseEvent, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from backend.core.flow import FloatArray
 from widgets.overlay import draw_message
-from widgets.plot_axes import PlotArea, nice_step, tick_text, ticks
+from widgets.plot_axes import PlotArea
 from widgets.theme import Theme, ui_font
+from widgets.trace_sheet import TraceSheet, WrenchTrace, paper_of
 
 NAMES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
-LEAST = {"N": 1.0, "N·m": 0.02}
-POINTS_PER_COLUMN = 2
-
-
-@dataclass(frozen=True, slots=True)
-class WrenchTrace:
-    """``t_s`` (n,) after the contact onset; ``values`` (n, 6): forces in N, moments in N·m."""
-
-    t_s: FloatArray
-    values: FloatArray
-
-
-def unit_of(channel: int) -> str:
-    """Return the unit of channel 0..5."""
-    return "N" if channel < 3 else "N·m"
+Drawn = tuple[TraceSheet, QImage]
+"""A sheet that was drawn ahead, and its picture."""
 
 
 class RecordedTraces(QWidget):
@@ -47,8 +34,7 @@ class RecordedTraces(QWidget):
         self.channels = channels
         self.trace: WrenchTrace | None = None
         self.cursor_s = 0.0
-        self._drawn: QPixmap | None = None
-        self._key: tuple[object, ...] = ()
+        self._drawn: Drawn | None = None
         self.setAccessibleName("Force and moment of the probe")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.setMinimumSize(200, 84)
@@ -58,10 +44,14 @@ class RecordedTraces(QWidget):
         """Return a flat rectangle."""
         return QSize(420, 130)
 
-    def show_trace(self, trace: WrenchTrace | None) -> None:
-        """Show another probe."""
-        self.trace, self._drawn = trace, None
+    def show_trace(self, trace: WrenchTrace | None, drawn: Drawn | None = None) -> None:
+        """Show another probe; ``drawn`` is used if it fits."""
+        self.trace, self._drawn = trace, drawn
         self.update()
+
+    def sheet(self) -> TraceSheet:
+        """Return what is drawn on now."""
+        return TraceSheet(paper_of(self, self._theme), self.channels)
 
     def show_channels(self, channels: tuple[int, ...]) -> None:
         """Choose what is drawn."""
@@ -105,29 +95,11 @@ class RecordedTraces(QWidget):
 
     def units(self) -> tuple[str, ...]:
         """Units of the chosen channels, left axis first."""
-        return tuple(dict.fromkeys(unit_of(c) for c in self.channels))
+        return self.sheet().units
 
     def area(self, unit: str) -> PlotArea:
-        """Where the curves of ``unit`` are drawn; needs a trace."""
-        em = self.fontMetrics().height()
-        right = 3.4 * em if len(self.units()) > 1 else 0.6 * em
-        rect = QRectF(3.0 * em, 1.5 * em, self.width() - 3.0 * em - right,
-                      self.height() - 2.9 * em)  # fmt: skip
-        if self.trace is None or not len(self.trace.t_s):
-            return PlotArea(rect, 0.0, 2.0, -1.0, 1.0)
-        low, high = self._range(unit)
-        return PlotArea(rect, float(self.trace.t_s[0]), float(self.trace.t_s[-1]), low, high)
-
-    def _range(self, unit: str) -> tuple[float, float]:
-        assert self.trace is not None
-        chosen = [c for c in self.channels if unit_of(c) == unit]
-        values = self.trace.values[:, chosen]
-        finite = values[np.isfinite(values)]
-        least = LEAST[unit]
-        low = min(float(finite.min()), -least) if len(finite) else -least
-        high = max(float(finite.max()), least) if len(finite) else least
-        room = 0.06 * (high - low)
-        return low - room, high + room
+        """Where the curves of ``unit`` are drawn."""
+        return self.sheet().area(self.trace, unit)
 
     def paintEvent(self, _event: QPaintEvent) -> None:
         """Copy the curves, then draw cursor and readings."""
@@ -136,11 +108,14 @@ class RecordedTraces(QWidget):
             painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
             draw_message(painter, self.rect(), self._theme, "No wrench was recorded")
             return
-        painter.drawPixmap(0, 0, self._curves(self.trace))
-        self._draw_cursor(painter)
+        sheet = self.sheet()
+        if self._drawn is None or self._drawn[0] != sheet:
+            self._drawn = sheet, sheet.draw(self.trace)
+        painter.drawImage(0, 0, self._drawn[1])
+        self._draw_cursor(painter, sheet, self.trace)
 
-    def _draw_cursor(self, painter: QPainter) -> None:
-        t, area = self._theme.tokens, self.area("N")
+    def _draw_cursor(self, painter: QPainter, sheet: TraceSheet, trace: WrenchTrace) -> None:
+        t, area = self._theme.tokens, sheet.area(trace, sheet.units[0])
         x = area.x(min(max(self.cursor_s, area.x0), area.x1))
         painter.setPen(QPen(t.colour("text"), 1))
         painter.drawLine(QPointF(x, area.rect.top()), QPointF(x, area.rect.bottom()))
@@ -148,91 +123,9 @@ class RecordedTraces(QWidget):
         values, left = self.at_cursor(), area.rect.left()
         for channel in self.channels:
             text = _reading(channel, values[channel])
-            painter.setPen(self._colour(channel))
+            painter.setPen(sheet.colour(channel))
             painter.drawText(QPointF(left, area.rect.top() - 5), text)
             left += painter.fontMetrics().horizontalAdvance(text) + 8
-
-    def _colour(self, channel: int) -> QColor:
-        """Return the colour of the axis; of a pair each has its own, whatever its axis."""
-        pair = len(self.channels) == 2
-        axis = "xz"[self.channels.index(channel)] if pair else "xyz"[channel % 3]
-        return self._theme.tokens.colour(f"axis_{axis}")
-
-    def _curves(self, trace: WrenchTrace) -> QPixmap:
-        key = (self.size().toTuple(), self._theme.tokens.name, self._theme.scale)
-        if self._drawn is None or key != self._key:
-            ratio = self.devicePixelRatioF()
-            self._drawn, self._key = QPixmap(self.size() * ratio), key
-            self._drawn.setDevicePixelRatio(ratio)
-            self._drawn.fill(self._theme.tokens.colour("panel"))
-            painter = QPainter(self._drawn)
-            try:
-                self._draw_axes(painter)
-                self._draw_curves(painter, trace)
-            finally:
-                painter.end()
-        return self._drawn
-
-    def _draw_axes(self, painter: QPainter) -> None:
-        t, area = self._theme.tokens, self.area("N")
-        painter.fillRect(area.rect, t.colour("bg"))
-        painter.setFont(ui_font(self._theme.scale, 0.85))
-        height = painter.fontMetrics().height()
-        for side, unit in enumerate(self.units()):
-            self._draw_scale(painter, self.area(unit), unit, right=side == 1)
-        for value in ticks(area.x0, area.x1, 5):
-            x = area.x(value)
-            painter.setPen(QPen(t.colour("grid"), 1))
-            painter.drawLine(QPointF(x, area.rect.top()), QPointF(x, area.rect.bottom()))
-            painter.setPen(t.colour("muted"))
-            text = f"{tick_text(value, 0.5)} s"
-            painter.drawText(QRectF(x - 40, area.rect.bottom() + 2, 80, height),
-                             int(Qt.AlignmentFlag.AlignHCenter), text)  # fmt: skip
-
-    def _draw_scale(self, painter: QPainter, area: PlotArea, unit: str, *, right: bool) -> None:
-        t, rect = self._theme.tokens, area.rect
-        height = painter.fontMetrics().height()
-        step = nice_step(area.y1 - area.y0, 4)
-        for value in ticks(area.y0, area.y1, 4):
-            y = area.y(value)
-            if not right:
-                painter.setPen(QPen(t.colour("border" if value == 0 else "grid"), 1))
-                painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
-            painter.setPen(t.colour("muted"))
-            text = tick_text(value, step)
-            if right:
-                painter.drawText(QPointF(rect.right() + 5, y + 0.35 * height), text)
-            else:
-                box = QRectF(0, y - height / 2, rect.left() - 5, height)
-                painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), text)
-        place = QRectF(0, rect.top() - height - 3, rect.left() - 5, height)
-        if right:
-            place.moveLeft(rect.right() + 5)
-        side = Qt.AlignmentFlag.AlignLeft if right else Qt.AlignmentFlag.AlignRight
-        painter.drawText(place, int(side), unit)
-
-    def _draw_curves(self, painter: QPainter, trace: WrenchTrace) -> None:
-        for channel in self.channels:
-            area = self.area(unit_of(channel))
-            painter.setClipRect(area.rect)
-            painter.setPen(QPen(self._colour(channel), 1))
-            t_s, values = extremes(trace.t_s, trace.values[:, channel], int(area.rect.width()))
-            good = np.isfinite(values)
-            edges = np.flatnonzero(np.diff(good.astype(np.int8), prepend=0, append=0))
-            for start, end in edges.reshape(-1, 2).tolist():
-                painter.drawPolyline(area.polygon(t_s[start:end], values[start:end]))
-        painter.setClipping(False)
-
-
-def extremes(t_s: FloatArray, values: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:
-    """Return least and greatest of each group of samples: at most two points per pixel column."""
-    group = -(-len(t_s) // max(columns, 1))
-    if group <= POINTS_PER_COLUMN:
-        return t_s, values
-    starts = np.arange(0, len(t_s), group)
-    low, high = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
-    both = np.stack([low, high], axis=1).ravel()
-    return np.repeat(t_s[starts], 2), both
 
 
 def _reading(channel: int, value: float) -> str:

@@ -176,7 +176,7 @@ class Decisions:
         touched = episodes_of(operation)
         for uuid in touched:
             if uuid in self._on.walk.entries:
-                self._on.walk.note(self._on.dataset.entry(uuid))
+                self._on.walk.take(self._on.dataset.entry(uuid))
         here = self._on.present.item.entry.uuid if self._on.present is not None else ""
         places = [at for uuid in touched if (at := self._on.walk.find(uuid)) >= 0]
         word = "Undone" if operation.verb == "undo" else "Done again"

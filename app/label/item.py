@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -14,8 +15,40 @@ from backend.catalogue.values import EpisodeEntry
 from backend.core.flow import FINGERS, Episode, FloatArray, MarkerField
 from backend.dataset.film_reading import FilmedEpisode, read_film
 from backend.placement.offset_fit import OffsetFit
-from widgets.film import FilmTrack, Reel
-from widgets.recorded_traces import WrenchTrace
+from widgets.film import FilmTrack, Reel, latest
+from widgets.phase_plot import PhaseDrawn, PhaseSheet, has_moments
+from widgets.recorded_traces import Drawn
+from widgets.trace_sheet import TraceSheet, WrenchTrace
+
+Outlines = tuple[FloatArray, FloatArray]
+MOST_PAIRS = 16
+KEPT_PICTURES, PICTURE_BYTES = 2, 3 * 240 * 320
+"""So many decoded pictures a finger are kept: views ask for the present one again and again."""
+CURSOR_S = 2.0
+"""The end of the press says most: an episode is first shown there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sheets:
+    """What the wrench is drawn on at present: forces, moments, and one over the other."""
+
+    forces: TraceSheet
+    moments: TraceSheet
+    phase: PhaseSheet
+
+
+@dataclass(frozen=True, slots=True)
+class Ahead:
+    """What was drawn before it is shown; used as long as the window has not changed."""
+
+    forces: Drawn
+    moments: Drawn
+    phase: PhaseDrawn
+
+    @property
+    def bytes(self) -> int:
+        """Size of the pictures in memory."""
+        return sum(image.sizeInBytes() for _, image in (self.forces, self.moments, self.phase))
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +86,7 @@ class LabelItem:
     trace: WrenchTrace | None
     model: ModelLabel | None
     bytes: int
+    ahead: Ahead | None = None
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -62,20 +96,54 @@ class LabelItem:
         return float(self.trace.t_s[0]), float(self.trace.t_s[-1])
 
 
-def reader(dataset: Dataset, prelabel: Prelabel) -> Callable[[str], LabelItem]:
-    """Return the function that reads an episode of ``dataset``; it may run on any thread."""
+def reader(
+    dataset: Dataset, prelabel: Prelabel, sheets: Callable[[], Sheets | None]
+) -> Callable[[str], LabelItem]:
+    """Return the function that reads an episode of ``dataset``; it may run on any thread.
+
+    What does not follow from the label is drawn here, on the present ``sheets`` of the page.
+    """
+    outlines = lru_cache(MOST_PAIRS)(outlines_of)
 
     def read(uuid: str) -> LabelItem:
         entry = dataset.entry(uuid)
         film = read_film(dataset.folder / entry.path)
         pair = dataset.geometry.pair(entry.geometry)
-        return make_item(entry, film, pair, prelabel(film.episode, pair))
+        item = make_item(entry, film, pair, prelabel(film.episode, pair), outlines(pair))
+        return drawn_ahead(item, sheets())
 
     return read
 
 
+def outlines_of(pair: Pair) -> Outlines:
+    """Return the outlines (k, 2) of face and bottom; views know a pair by these very arrays."""
+    return pair.face.polygon(96), pair.bottom.polygon(96)
+
+
+def drawn_ahead(item: LabelItem, sheets: Sheets | None) -> LabelItem:
+    """Return the item with its first pictures decoded and its curves drawn."""
+    first, last = item.span_s
+    for track in item.reel.values():
+        index = latest(track.picture_t_s, min(max(CURSOR_S, first), last))
+        if index >= 0:
+            track.picture(index)
+    trace = item.trace
+    if trace is None or sheets is None or len(trace.t_s) < 2 or not has_moments(trace):
+        return item
+    ahead = Ahead(
+        (sheets.forces, sheets.forces.draw(trace)),
+        (sheets.moments, sheets.moments.draw(trace)),
+        (sheets.phase, sheets.phase.draw(trace)),
+    )
+    return replace(item, ahead=ahead, bytes=item.bytes + ahead.bytes)
+
+
 def make_item(
-    entry: EpisodeEntry, film: FilmedEpisode, pair: Pair, model: ModelLabel | None
+    entry: EpisodeEntry,
+    film: FilmedEpisode,
+    pair: Pair,
+    model: ModelLabel | None,
+    outlines: Outlines,
 ) -> LabelItem:
     """Put together what was read; times are counted from the contact onset."""
     episode, recording = film.episode, film.episode.recording
@@ -86,7 +154,7 @@ def make_item(
     reel = {
         finger: FilmTrack(
             film.pictures[finger].t_s - episode.onset_s,
-            film.pictures[finger].picture,
+            lru_cache(KEPT_PICTURES)(film.pictures[finger].picture),
             np.array([x.t_s for x in fields[finger]]) - episode.onset_s,
             fields[finger],
         )
@@ -95,6 +163,6 @@ def make_item(
     numbers = 0 if recording is None else recording.wrench.nbytes + recording.pose_mm.nbytes
     per_field = sum(len(x) for x in fields.values()) * 3 * 1024
     return LabelItem(
-        entry, episode, pair, pair.face.polygon(96), pair.bottom.polygon(96), reel, trace, model,
-        film.bytes + numbers + per_field,
+        entry, episode, pair, *outlines, reel, trace, model,
+        film.bytes + numbers + per_field + len(FINGERS) * KEPT_PICTURES * PICTURE_BYTES,
     )  # fmt: skip

@@ -17,6 +17,7 @@ from PySide6.QtWidgets import (
 )
 
 from app.label.bulk_form import BulkForm
+from app.label.item import Sheets
 from app.label.side import SideTabs
 from app.label.words import QUEUES
 from widgets.choice_bar import ChoiceBar
@@ -194,6 +195,10 @@ class LabelPage(QWidget):
             view.show_cursor(t_s)
         self.film_panel.detail.setText(f"{t_s:+.2f} s".replace("-", "\N{MINUS SIGN}"))
 
+    def sheets(self) -> Sheets:
+        """Return what curves are drawn on at the present size and theme."""
+        return Sheets(self.forces.sheet(), self.moments.sheet(), self.phase.sheet())
+
     def open_entry(self, first: str) -> None:
         """Begin to type a displacement."""
         if not self.entry.isVisible():
@@ -224,9 +229,11 @@ class LabelPage(QWidget):
 
     def say(self, text: str, *, bad: bool = False) -> None:
         """Show one sentence below the view; ``bad``: something was refused."""
-        self.message.setProperty("tone", "bad" if bad else "")
-        self.message.style().unpolish(self.message)
-        self.message.style().polish(self.message)
+        tone = "bad" if bad else ""
+        if tone != self.message.property("tone"):
+            self.message.setProperty("tone", tone)
+            self.message.style().unpolish(self.message)
+            self.message.style().polish(self.message)
         self.message.setText(text)
         self.message.setToolTip(text)
 

@@ -14,7 +14,7 @@ from PySide6.QtCore import QTimer
 from app.label import show
 from app.label.commits import Commits
 from app.label.edit import Edit, parse
-from app.label.item import LabelItem, Prelabel, reader
+from app.label.item import LabelItem, Prelabel, Sheets, reader
 from app.label.looking import LookClock
 from app.label.page import LabelPage
 from app.label.post import Post
@@ -88,7 +88,9 @@ class LabelPresenter:
         self.sitting = sitting
         self.present: Present | None = None
         self.saving = Saving(commits, self.refuse, self._show_saving)
-        self._prefetch = Prefetch(reader(dataset, prelabel), post, self._arrived)
+        self._sheets: Sheets | None = None
+        read = reader(dataset, prelabel, lambda: self._sheets)
+        self._prefetch = Prefetch(read, post, self._arrived)
         self.walk = Walk(page.list, self._prefetch)
         self.clock = LookClock()
         self._news = ""
@@ -182,6 +184,7 @@ class LabelPresenter:
         if ready is None:
             return
         self.clock.restart()
+        self._sheets = self._page.sheets()
         self._page.say(self._news)
         self._news = ""
         if isinstance(ready, Exception):
@@ -208,14 +211,13 @@ class LabelPresenter:
 
     def _show_label(self) -> None:
         """Show head, history and row of the present episode."""
-        self.show_edit()
         now = self.present
         if now is None:
             return
+        self.show_edit()
         told = [] if self.sitting.opines else history_rows(now.history, now.edit.base)
         self._page.side.history.show_rows(told)
-        self.walk.note(self.dataset.entry(now.item.entry.uuid), self.badges())
-        self._show_saving()
+        self.walk.note(now.item.entry.uuid, self.badges())
 
     def show_edit(self) -> None:
         """Show where the face is now, saved or not."""
@@ -369,6 +371,7 @@ class LabelPresenter:
         if now is not None:
             uuid = now.item.entry.uuid
             now.edit, now.history = self._begin(uuid), self.book.history(uuid)
+            self.walk.take(self.dataset.entry(uuid))
             self._show_label()
 
     def looked(self) -> Looked:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from app.label.edit import Edit, as_pair
-from app.label.item import LabelItem, ModelLabel
+from app.label.item import CURSOR_S, LabelItem, ModelLabel
 from app.label.page import LabelPage
 from app.label.words import rests_on, source_words
 from backend.catalogue.values import Revision
@@ -15,8 +15,6 @@ from widgets.offset_scene import Ghost, OffsetScene, offset_in_words, verdict_in
 
 LEAST_SIGMA_MM = 0.05
 """What a label is trusted at best when it is compared with a model."""
-CURSOR_S = 2.0
-"""The end of the press says most: an episode is first shown there."""
 
 
 def show_item(page: LabelPage, item: LabelItem) -> None:
@@ -24,8 +22,10 @@ def show_item(page: LabelPage, item: LabelItem) -> None:
     first, last = item.span_s
     at_s = min(max(CURSOR_S, first), last)
     page.film.show_reel(item.reel, (max(first, 0.0), last), at_s)
-    for view in (page.forces, page.moments, page.phase):
-        view.show_trace(item.trace)
+    ahead = item.ahead
+    page.forces.show_trace(item.trace, None if ahead is None else ahead.forces)
+    page.moments.show_trace(item.trace, None if ahead is None else ahead.moments)
+    page.phase.show_trace(item.trace, None if ahead is None else ahead.phase)
     page.show_cursor(at_s)
     entry = item.entry
     page.view_panel.detail.setText(f"{entry.piece} on {entry.bottom}, {entry.uuid[-8:]}")

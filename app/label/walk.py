@@ -74,14 +74,17 @@ class Walk:
         item = self._prefetch.get(uuid)
         return item.bytes if isinstance(item, LabelItem) else 0
 
-    def note(self, entry: EpisodeEntry, badges: tuple[str, ...] | None = None) -> None:
+    def note(self, uuid: str, badges: tuple[str, ...]) -> None:
+        """Take the badges of an episode, and show its row anew."""
+        self.badges[uuid] = badges
+        at = self.at if uuid == self.uuid else self.find(uuid)
+        if at >= 0:
+            self._rows.show_row(at, self._row(uuid))
+
+    def take(self, entry: EpisodeEntry) -> None:
         """Take what is new of an episode, and show its row anew."""
         self.entries[entry.uuid] = entry
-        if badges is not None:
-            self.badges[entry.uuid] = badges
-        at = self.find(entry.uuid)
-        if at >= 0:
-            self._rows.show_row(at, self._row(entry.uuid))
+        self.note(entry.uuid, self.badges.get(entry.uuid, ()))
 
     def _row(self, uuid: str) -> LabelRow:
         entry = self.entries[uuid]

@@ -18,9 +18,10 @@ from widgets.label_list import LabelList, LabelRow
 from widgets.offset_scene import Ghost, OffsetScene, offset_in_words, verdict_in_words
 from widgets.offset_view import OffsetView
 from widgets.phase_plot import PhasePlot
-from widgets.recorded_traces import RecordedTraces, WrenchTrace, extremes
+from widgets.recorded_traces import RecordedTraces
 from widgets.state_strip import StateStrip
 from widgets.theme import THEMES, Theme, load_resources
+from widgets.trace_sheet import WrenchTrace, extremes
 
 POT = face_points(circle(15.0))
 FACE, BOTTOM = circle(15.0).polygon(96), square(15.0).polygon()
@@ -93,19 +94,22 @@ class TestOffsetView:
         assert bad > 20 > count(view, t.colour("bad"))
         assert count(view, t.colour("good")) > 20
 
-    def test_the_ground_is_drawn_once_per_episode(self, view, monkeypatch):
+    def test_the_ground_is_drawn_once_and_the_ghosts_when_they_change(self, view, monkeypatch):
         drawn = []
         from widgets import offset_marks
 
-        real = offset_marks.draw_grid
-        monkeypatch.setattr(offset_marks, "draw_grid", lambda *a: drawn.append(1) or real(*a))
+        for name in ("draw_grid", "draw_ghosts"):
+            real = getattr(offset_marks, name)
+            monkeypatch.setattr(
+                offset_marks, name, lambda *a, n=name, r=real: drawn.append(n) or r(*a)
+            )
         for k in range(5):
             view.show_scene(scene((2.0 + 0.1 * k, 0.0)))
             view.grab()
-        assert drawn == [1]
+        assert drawn == ["draw_grid", "draw_ghosts"]
         view.show_scene(scene((2.0, 0.0), (Ghost("model", (3.0, 0.0), 0.8),)))
         view.grab()
-        assert drawn == [1, 1]
+        assert drawn == ["draw_grid", "draw_ghosts", "draw_ghosts"]
 
 
 def test_verdicts_in_words():
@@ -191,6 +195,10 @@ def test_the_newest_sample_not_later_than_the_cursor():
     assert [latest(stamps, t) for t in (-0.1, 0.0, 0.0399, 0.04, 0.5)] == [-1, 0, 0, 1, 2]
 
 
+def _traces(theme):
+    return RecordedTraces(theme, (0, 1), lambda t: None)
+
+
 class TestTraces:
     @pytest.fixture
     def trace(self):
@@ -227,6 +235,27 @@ class TestTraces:
         at = QPointF(area.x(0.5), area.rect.center().y()).toPoint()
         QTest.mousePress(plot, Qt.MouseButton.LeftButton, pos=at)
         assert sought[-1] == pytest.approx(0.5, abs=0.01)
+
+    @pytest.mark.parametrize("kind", [_traces, PhasePlot])
+    def test_what_was_drawn_ahead_is_used_only_where_it_fits(
+        self, theme, qtbot, trace, monkeypatch, kind
+    ):
+        plot, drawn = kind(theme), []
+        qtbot.addWidget(plot)
+        plot.resize(400, 200)
+        ahead = plot.sheet(), plot.sheet().draw(trace)
+        real = type(ahead[0]).draw
+        monkeypatch.setattr(type(ahead[0]), "draw", lambda s, t: drawn.append(1) or real(s, t))
+        plot.show_trace(trace, ahead)
+        shown = plot.grab().toImage()
+        assert not drawn
+        plot.show_trace(trace)
+        assert plot.grab().toImage() == shown
+        assert len(drawn) == 1
+        plot.show_trace(trace, ahead)
+        plot.resize(420, 200)
+        plot.grab()
+        assert len(drawn) == 2
 
     def test_thinning_keeps_a_spike(self):
         values = np.zeros(10_000)

@@ -53,6 +53,9 @@ def _info(source: Path) -> dict[str, Any]:
 
 
 def _side(sides: Mapping[str, str], number: int) -> str:
+    """Return the side of an episode; where all are on one, as recorded there, nothing was split."""
+    if len(sides) < 2:
+        return ""
     for side, span in sides.items():
         first, _, last = str(span).partition(":")
         if first.isdigit() and last.isdigit() and int(first) <= number < int(last):

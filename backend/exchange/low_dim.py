@@ -26,6 +26,7 @@ from backend.core.flow import (
 )
 from backend.dataset.contents import read_first
 from backend.dataset.episode_file import to_ns
+from backend.dataset.episode_reading import episode_of
 from backend.dataset.film_reading import FilmedEpisode, Pictures, read_film
 from backend.exchange.features import (
     ACTION,
@@ -94,12 +95,15 @@ def read_export(
     }
     if one.entry.mode == "mass":
         return ExportEpisode(one, values | _observed(_packed(dataset, one)), {})
-    film = read_film(dataset.folder / one.entry.path)
-    values |= _observed(film.episode.observation)
+    path = dataset.folder / one.entry.path
+    film = read_film(path) if pictures else None
+    # All but the pictures is in the first chunk: a twentieth of the file.
+    episode = episode_of(read_first(path), path) if film is None else film.episode
+    values |= _observed(episode.observation)
     if native:
-        assert film.episode.recording is not None
-        values |= _recorded(film.episode.recording, film.episode.onset_s)
-    return ExportEpisode(one, values, _pictures(film) if pictures else {})
+        assert episode.recording is not None
+        values |= _recorded(episode.recording, episode.onset_s)
+    return ExportEpisode(one, values, {} if film is None else _pictures(film))
 
 
 def _packed(dataset: Dataset, one: Chosen) -> NDArray[np.float32]:

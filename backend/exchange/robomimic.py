@@ -94,4 +94,4 @@ def _observation(demo: Any, key: str, values: NDArray[Any]) -> None:
 
 def _dataset(demo: Any, name: str, values: NDArray[Any]) -> None:
     # Chunks of one episode, so that a reader may take some ticks of a picture without the rest.
-    demo.create_dataset(name, data=values, compression="gzip" if values.ndim > 2 else None)
+    demo.create_dataset(name, data=values, compression=1 if values.ndim > 2 else None)

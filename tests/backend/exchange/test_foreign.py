@@ -79,7 +79,10 @@ def test_a_robomimic_file_of_others_comes_in(back: Dataset, tmp_path: Path) -> N
 
 
 def test_lerobot_21_comes_in(back: Dataset, tmp_path: Path) -> None:
-    assert len(Import(back, "lerobot", lerobot_21(tmp_path / "old"), NAMED).write()) == 2
+    written = Import(back, "lerobot", lerobot_21(tmp_path / "old"), NAMED).write()
+    assert len(written) == 2
+    # All on the side "train" is no split.
+    assert [back.labels.marks(uuid) for uuid in written] == [{}, {}]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from backend.catalogue.dataset import Dataset
 from backend.catalogue.geometry import Pair
 from backend.catalogue.values import EpisodeEntry
 from backend.core.flow import FINGERS, Episode, FloatArray, MarkerField
-from backend.dataset.film_reading import FilmedEpisode, read_film
+from backend.dataset.film_reading import FilmedEpisode
 from backend.placement.offset_fit import OffsetFit
 from widgets.film import FilmTrack, Reel, latest
 from widgets.phase_plot import PhaseDrawn, PhaseSheet, has_moments
@@ -107,7 +107,7 @@ def reader(
 
     def read(uuid: str) -> LabelItem:
         entry = dataset.entry(uuid)
-        film = read_film(dataset.folder / entry.path)
+        film = dataset.film(uuid)
         pair = dataset.geometry.pair(entry.geometry)
         item = make_item(entry, film, pair, prelabel(film.episode, pair), outlines(pair))
         return drawn_ahead(item, sheets())

@@ -6,6 +6,7 @@ import json
 import socket
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Self
 
 from backend.catalogue import episodes, merge, operations, queues, recording
 from backend.catalogue.backups import Backups
+from backend.catalogue.checked_folders import CheckedFolders
 from backend.catalogue.comparison import Comparison, compare
 from backend.catalogue.database import NAME as CATALOGUE
 from backend.catalogue.database import Database
@@ -39,10 +41,11 @@ from backend.catalogue.values import (
     Source,
 )
 from backend.catalogue.writer_lock import WriterLock
-from backend.core.faults import FaultError, InputError
+from backend.core.faults import FaultError, InputError, RefusedError
 from backend.core.files import write_atomically
 from backend.core.flow import Episode
 from backend.dataset.episode_reading import read_episode
+from backend.dataset.film_reading import FilmedEpisode, read_film, without_pictures
 from backend.dataset.pictures import KeepFrames
 
 DESCRIPTION = "dataset.json"
@@ -79,6 +82,7 @@ class Dataset:
     ) -> None:
         self.folder, self.description, self.database = folder, description, database
         self._lock = lock
+        self._checked = CheckedFolders()
         self.notices: tuple[str, ...] = ()
         self.geometry = GeometryStore(folder / "geometry")
         self.journal = Journal(folder / "labels")
@@ -126,6 +130,7 @@ class Dataset:
 
     def _reconcile(self) -> None:
         if self.writable:
+            self._checked = CheckedFolders.take(self.database)
             found = reconcile(self.store)
             self.labels.frozen = " ".join(finding.said for finding in found if finding.locks)
             self.notices = sentences(found)
@@ -143,7 +148,7 @@ class Dataset:
     def store(self) -> Store:
         """The parts that checks and repairs work on."""
         site = self.description.site
-        return Store(self.folder, self.database, self.journal, self.geometry, site)
+        return Store(self.folder, self.database, self.journal, self.geometry, site, self._checked)
 
     def _back_up(self, make: Callable[[], object]) -> None:
         """Make a copy where one is due; a copy that fails never fails what it follows."""
@@ -200,11 +205,20 @@ class Dataset:
 
     def read(self, uuid: str) -> Episode:
         """Read the signals of an episode; raises ``InputError`` naming a damaged file."""
+        packed = self._packed(uuid)
+        return read_episode(self.path(uuid)) if packed is None else packed
+
+    def film(self, uuid: str) -> FilmedEpisode:
+        """Read an episode for looking at it, pictures still compressed; a packed one has none."""
+        packed = self._packed(uuid)
+        return read_film(self.path(uuid)) if packed is None else without_pictures(packed)
+
+    def _packed(self, uuid: str) -> Episode | None:
         path = self.path(uuid)
         sql = "SELECT chunk_off, chunk_len FROM episode WHERE uuid = ?"
         offset, length = self.database.one(sql, (uuid,))
         if offset is None:
-            return read_episode(path)
+            return None
         return replace(read_packed(path, (offset, length)), episode_id=uuid)
 
     def patch(self, uuid: str) -> TruePatch:
@@ -260,6 +274,9 @@ class Dataset:
         """Back up, close the catalogue and let others write; closing twice does no harm."""
         if self._lock is not None:
             self._back_up(partial(self.backups.if_changed, "close"))
+            with suppress(FaultError, RefusedError):
+                # Without it the next start takes longer, and that is all.
+                self._checked.keep(self.database)
         self.database.close()
         if self._lock is not None:
             self._lock.release()

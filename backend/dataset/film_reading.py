@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from backend.core.flow import FINGERS, Episode, Finger, FloatArray, ImageArray
 from backend.dataset.channels import IMAGE
 from backend.dataset.contents import explained, read_whole
@@ -37,6 +39,12 @@ class FilmedEpisode:
     def bytes(self) -> int:
         """Size of the pictures in memory."""
         return sum(len(data) for film in self.pictures.values() for data in film.packed)
+
+
+def without_pictures(episode: Episode) -> FilmedEpisode:
+    """Return an episode of which no pictures were recorded."""
+    none = Pictures(np.zeros(0), ())
+    return FilmedEpisode(episode, dict.fromkeys(FINGERS, none))
 
 
 def read_film(path: Path) -> FilmedEpisode:

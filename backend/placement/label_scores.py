@@ -17,7 +17,6 @@ from backend.catalogue.scores import Suggestion, disagreement
 from backend.catalogue.values import EpisodeEntry, EpisodeFilter, Label, Source
 from backend.core.faults import InputError
 from backend.core.flow import FloatArray
-from backend.dataset.film_reading import read_film
 from backend.placement.estimator import Estimator
 from backend.placement.offset_fit import OffsetGrid, mean_entropy
 
@@ -69,7 +68,7 @@ def _score(
     found: _Found,
 ) -> None:
     try:
-        episode = read_film(dataset.folder / entry.path).episode
+        episode = dataset.film(entry.uuid).episode
         patch = model.estimate(episode)
         if entry.geometry not in grids:
             pair = dataset.geometry.pair(entry.geometry)

@@ -95,6 +95,9 @@ def test_a_packed_episode_is_read_like_any_other(folder: Path) -> None:
             episode = dataset.read(entry.uuid)
             label = sent.pop(episode.observation.tobytes())
             assert (episode.episode_id, episode.piece) == (entry.uuid, "pot")
+            film = dataset.film(entry.uuid)
+            assert np.array_equal(film.episode.observation, episode.observation)
+            assert film.bytes == 0
             assert dataset.labels.head(entry.uuid).label.x_um == label["x_um"]
             assert np.array_equal(
                 episode.offset_mm, dataset.labels.head(entry.uuid).label.offset_mm

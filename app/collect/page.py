@@ -22,7 +22,7 @@ from widgets.tactile_view import TactileView
 from widgets.target_panel import TargetIntents, TargetPanel
 from widgets.theme import Theme, ui_font
 
-FINGER_SHARE = 0.3
+FINGER_SHARE = 0.22
 """The thumbnails take at most this share of the page's height: the maps need the rest."""
 
 
@@ -132,7 +132,7 @@ class CollectPage(QWidget):
         for caption in self.captions.values():
             fingers.addWidget(caption, 1)
         for plot in (self.force, self.moment):
-            plot.setMinimumSize(200, 76)
+            plot.setMinimumSize(200, 104)
             plots.addWidget(plot, 1)
         self.live.column.addLayout(fingers)
         self.live.column.addLayout(plots, 1)

@@ -48,8 +48,9 @@ class CollectWorkspace(Workspace):
         self.label.opened = self._take_dataset
         self.label.person_changed = self._show_person
         self.page.tell(self._half_came)
-        self.commands = by_half(
-            self.page, TITLES, {COLLECT: self._commands(), LABEL: self.label.commands}
+        self.commands = (
+            *by_half(self.page, TITLES, {COLLECT: self._commands(), LABEL: self.label.commands}),
+            Command("half", "The other half: collect, or label", "F2", self._show_other_half),
         )
         self.held_keys = self.label.held_keys
 
@@ -151,6 +152,9 @@ class CollectWorkspace(Workspace):
         self.label.open()
         self.presenter.restyle()
 
+    def _show_other_half(self) -> None:
+        self.page.show_half(COLLECT if self.page.front == LABEL else LABEL)
+
     def _be(self, name: str) -> None:
         if name.strip() and name != self.presenter.person:
             self.label.be(name)
@@ -190,7 +194,7 @@ class CollectWorkspace(Workspace):
             Command("go-on", "Go on with the last campaign", "Shift+F5", p.go_on),
             Command("pause", "Pause or resume", "P", p.pause_or_resume),
             Command("keep", "Keep the probe", "Return", lambda: decide("keep")),
-            Command("discard", "Discard the probe", "Backspace", lambda: decide("discard")),
+            Command("discard-probe", "Discard the probe", "Backspace", lambda: decide("discard")),
             Command("flag-probe", "Flag the probe", "X", lambda: decide("flag")),
             Command("again", "Redo the probe", "R", lambda: decide("redo")),
             Command("leave-out", "Skip: leave its place out", "S", lambda: decide("skip")),

@@ -46,7 +46,8 @@ class Script:
 
     def active(self, device: str, kind: str, t_s: float) -> bool:
         """Return whether ``device`` suffers from ``kind`` at ``t_s``."""
-        return any(
+        # Asked eight times a cycle, and almost always there is none.
+        return bool(self.disturbances) and any(
             d.device == device and d.kind == kind and d.start_s <= t_s < d.start_s + d.length_s
             for d in self.disturbances
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import dataclass, replace
+from functools import cache
 from importlib import resources
 
 import numpy as np
@@ -35,6 +36,7 @@ class GelLook:
             read_only(array)
 
 
+@cache
 def load_look(name: str = "large-dot") -> GelLook:
     """Return the gel ``name`` that ships with Touchdown."""
     text = resources.files("resources").joinpath("gels", f"{name}.toml").read_text("utf-8")

@@ -8,11 +8,13 @@ than everything else. Colours are done one after the other: one plane fits into 
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from backend.core.flow import FloatArray, ImageArray
+from backend.core.flow import FloatArray, ImageArray, read_only
 from backend.simulation.dots import HEIGHT_PX, WIDTH_PX, Dots, Float32
 from backend.simulation.gel_look import GelLook
 
@@ -34,11 +36,13 @@ class FingerOptics:
         self.look = look
         fixed = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 1])))
         self._draws = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 2])))
-        self._back = _background(look) + _grain(look, fixed)
+        self._back = _grain(look, fixed)
+        self._back += _background(look.background.tobytes(), look.background.shape)
         self._to_core = look.core.astype(np.float32)[:, None, None] - self._back
         self._dots = Dots(look, fixed)
         shape = (3, _BANK_FACTOR * HEIGHT_PX, _BANK_FACTOR * WIDTH_PX)
-        self._bank = fixed.standard_normal(shape, dtype=np.float32) * np.float32(look.noise)
+        self._bank = fixed.standard_normal(shape, dtype=np.float32)
+        self._bank *= np.float32(look.noise)
         margin = 2 * _FRINGE_PX
         shadow = np.zeros((HEIGHT_PX + margin, WIDTH_PX + margin), dtype=np.float32)
         self._shadow = _moved(shadow, 0, 0)
@@ -96,12 +100,18 @@ def _smear(centre_px: FloatArray) -> Smear | None:
     return slice(v0, v1), slice(u0, u1), cover
 
 
-def _background(look: GelLook) -> Float32:
-    """Return (3, 240, 320): cubic interpolation of the colour table, smoothed over 20 px."""
-    table = look.background.astype(np.float32)
+@lru_cache(maxsize=4)
+def _background(colours: bytes, shape: tuple[int, ...]) -> Float32:
+    """Return (3, 240, 320): cubic interpolation of the colour table, smoothed over 20 px.
+
+    Kept from scene to scene, which all have the same few gels: the blur takes long.
+    """
+    table = np.frombuffer(colours).reshape(shape).astype(np.float32)
     large = cv2.resize(table, (WIDTH_PX, HEIGHT_PX), interpolation=cv2.INTER_CUBIC)
     smooth = cv2.GaussianBlur(large, (0, 0), 20.0, borderType=cv2.BORDER_REPLICATE)
-    return np.ascontiguousarray(np.asarray(smooth, dtype=np.float32).transpose(2, 0, 1))
+    planes = np.ascontiguousarray(np.asarray(smooth, dtype=np.float32).transpose(2, 0, 1))
+    read_only(planes)
+    return planes
 
 
 def _grain(look: GelLook, rng: np.random.Generator) -> Float32:

@@ -6,6 +6,7 @@ which they came: the same scene and commands give the same bytes however time is
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
@@ -110,8 +111,10 @@ class World:
     def hear(self, t_s: FloatArray, force_n: FloatArray) -> None:
         """Tell the arm what the wrist sensor delivered (Fz, untared) in the last cycle."""
         self._heard = (t_s, force_n)
-        if len(force_n) and np.isfinite(force_n).all():
-            self._recent_n = [*self._recent_n, float(np.mean(force_n))][-_TARE_CYCLES:]
+        mean_n = float(force_n.mean()) if len(force_n) else math.nan
+        # A mean is finite exactly if all samples are.
+        if math.isfinite(mean_n):
+            self._recent_n = [*self._recent_n, mean_n][-_TARE_CYCLES:]
 
     # -- time -------------------------------------------------------------------------------------
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
+from uuid import UUID
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from backend.catalogue import heads, operations
 from backend.catalogue.database import add_event
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.review import check_person
-from backend.catalogue.uuid7 import from_parts, uuid7
+from backend.catalogue.uuid7 import from_parts, is_uuid7, uuid7
 from backend.catalogue.values import EpisodeContext, Label
 from backend.core.faults import InputError
 from backend.core.files import write_atomically
@@ -35,7 +36,7 @@ from backend.exchange.query import SPLIT_TAG
 from backend.objects.catalogue import load_catalogue
 
 MODE = "imported"
-RANDOM_BITS = 74
+OWN_BITS, NUMBER_AT = 24, 48
 TRUSTED = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
 """The checks need signals that a foreign file does not have."""
 
@@ -134,13 +135,19 @@ class Import:
         return own in self._known or self._uuid(mapping.mapped(foreign)) in self._known
 
     def _uuid(self, mapped: Mapped) -> str:
-        """Return the id of an imported episode: from what it holds and where it was."""
-        named = self._named.get(mapped.foreign.index)
+        """Return the id of an imported episode: the same whenever it is imported.
+
+        It sorts as the id it had, else by its number, so that a later export has the same order.
+        """
+        number = mapped.foreign.index
+        named = self._named.get(number)
         digest = sha256(mapped.observation.tobytes())
-        digest.update(str(named["uuid"] if named else mapped.foreign.index).encode("utf-8"))
-        at_ms = int(named["recorded_ns"]) // 1_000_000 if named else 0
-        bits = int.from_bytes(digest.digest()[:10], "big") >> (80 - RANDOM_BITS)
-        return from_parts(at_ms, bits)
+        digest.update(str(named["uuid"] if named else number).encode("utf-8"))
+        own = int.from_bytes(digest.digest()[:4], "big") >> (32 - OWN_BITS)
+        if named is None:
+            return from_parts(0, number << NUMBER_AT | int.from_bytes(digest.digest()[:6], "big"))
+        former = UUID(named["uuid"]).int
+        return str(UUID(int=former >> OWN_BITS << OWN_BITS | own))
 
     def _record(self, mapped: Mapped, series: str) -> tuple[str, str]:
         origin = self._origin(mapped, series)
@@ -237,6 +244,8 @@ def _check(episode: Mapping[str, Any], label: Label) -> None:
     texts = ("uuid", "piece", "bottom", "geometry", "grip_id", "mounting_id", "source", "split")
     if any(not isinstance(episode[name], str) for name in texts):
         raise ValueError("an episode lacks a name")
+    if not is_uuid7(episode["uuid"]):
+        raise ValueError("an episode has an id of another kind")
     values = (label.x_um, label.y_um, label.theta_mdeg, label.sigma_um)
     if any(value is not None and type(value) is not int for value in values):
         raise ValueError("a label is not in whole µm and mdeg")

@@ -35,6 +35,7 @@ from backend.exchange.foreign_episode import ForeignEpisode
 
 FRAME_SHAPE = (240, 320, 3)
 MAX_OFFSET_MM = 1000.0
+MAX_NUMBER = 1 << 24
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +51,8 @@ class Mapped:
 def problem(foreign: ForeignEpisode) -> str:
     """Return why the episode cannot be mapped, or ""."""
     values = foreign.values
+    if not 0 <= foreign.index < MAX_NUMBER:
+        return "its number is out of range"
     needed = {MARKERS: TACTILE_CHANNELS, FT: WRENCH_CHANNELS}
     lacking = sorted(set(needed) - set(values))
     if lacking:

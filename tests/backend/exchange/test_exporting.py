@@ -6,6 +6,7 @@ import hashlib
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import zarr
@@ -175,6 +176,19 @@ def test_packed_episodes_have_what_the_model_is_given(tmp_path: Path, hand: Hand
         with Dataset.open(tmp_path / "back") as back:
             Import(back, "robomimic", done.folder, ImportWish("dora")).write()
             mine = {back.read(e.uuid).observation.tobytes() for e in back.episodes()}
+            again = hand("robomimic", "packed-again", of=back)
+            first, second = (
+                [row["split"] for row in manifest_of(one.folder)["episodes"]]
+                for one in (done, again)
+            )
+            assert first == second
+            with (
+                h5py.File(done.folder / "demos.hdf5") as a,
+                h5py.File(again.folder / "demos.hdf5") as b,
+            ):
+                for name in a["data"]:
+                    obs = f"data/{name}/obs/markers"
+                    assert a[obs][()].tobytes() == b[obs][()].tobytes()
     from backend.dataset.pack_file import read_pack
 
     packed = {row.observation.tobytes() for row in read_pack(folder / "packs" / "a.mcap")}

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from backend.catalogue.database import NAME, Database, add_event
 from backend.catalogue.findings import QUARANTINE
+from backend.catalogue.operations import newest_of
 from backend.catalogue.schema import APPLICATION_ID
 from backend.core.faults import Fault, FaultError, InputError
 from backend.core.files import sync_folder
@@ -62,12 +63,6 @@ def surplus(backups: Iterable[Backup]) -> list[Backup]:
     return [backup for backup in ordered if backup.path not in wanted]
 
 
-def heads_of(connection: sqlite3.Connection) -> Heads:
-    """Return number and hash of the newest operation per site."""
-    rows = connection.execute("SELECT site, max(seq), hash FROM op GROUP BY site")
-    return {site: (seq, digest) for site, seq, digest in rows}
-
-
 def check_backup(path: Path) -> Heads:
     """Open a copy, let SQLite check all of it and return its heads; ``InputError`` if it is bad."""
     try:
@@ -78,7 +73,7 @@ def check_backup(path: Path) -> Heads:
             (ours,) = connection.execute("PRAGMA application_id").fetchone()
             if verdict != "ok" or ours != APPLICATION_ID:
                 raise _bad(path, verdict if verdict != "ok" else "it is no catalogue")
-            return heads_of(connection)
+            return newest_of(connection)
     except sqlite3.Error as error:
         raise _bad(path, str(error)) from error
 
@@ -155,8 +150,8 @@ class Backups:
         self._saved = saved
 
     def _heads(self) -> Heads:
-        rows = self._database.rows("SELECT site, max(seq), hash FROM op GROUP BY site")
-        return {site: (seq, digest) for site, seq, digest in rows}
+        with self._database.reading() as connection:
+            return newest_of(connection)
 
     def _newest_heads(self) -> Heads:
         for backup in list_backups(self._folder)[:1]:

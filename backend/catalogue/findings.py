@@ -5,9 +5,10 @@ from __future__ import annotations
 import sqlite3
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from backend.catalogue.checked_folders import CheckedFolders
 from backend.catalogue.database import Database
 from backend.catalogue.geometry import GeometryStore
 from backend.catalogue.journal import Journal
@@ -19,13 +20,17 @@ FULL_LINES = 5
 
 @dataclass(frozen=True, slots=True)
 class Store:
-    """The parts of a dataset that a check needs; ``site``: the chain it writes."""
+    """The parts of a dataset that a check needs; ``site``: the chain it writes.
+
+    ``checked``: folders that a start need not look at again, brought up to date by a check.
+    """
 
     folder: Path
     database: Database
     journal: Journal
     geometry: GeometryStore
     site: str
+    checked: CheckedFolders = field(default_factory=CheckedFolders)
 
     @property
     def quarantine(self) -> Path:

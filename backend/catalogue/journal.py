@@ -87,7 +87,7 @@ def _mend(path: Path) -> int:
     """Cut a torn last line off; return the last sequence number in the file (0 if none)."""
     if not path.exists():
         return 0
-    start, tail = _tail(path)
+    start, tail = tail_of(path)
     end = tail.rfind(b"\n") + 1
     if end < len(tail):
         os.truncate(path, start + end)
@@ -98,7 +98,7 @@ def _mend(path: Path) -> int:
         return _last_readable(path)
 
 
-def _tail(path: Path) -> tuple[int, bytes]:
+def tail_of(path: Path) -> tuple[int, bytes]:
     """Return the end of a file with its last whole line at least, and where that begins."""
     size, length = path.stat().st_size, TAIL_BYTES
     with path.open("rb") as file:

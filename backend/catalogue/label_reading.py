@@ -12,6 +12,7 @@ from backend.catalogue.operations import (
     REVISION,
     as_operation,
     as_revision,
+    newest_of,
     read_revision,
 )
 from backend.catalogue.review import Standing
@@ -103,8 +104,8 @@ class LabelReader:
 
     def chain_heads(self) -> dict[str, str]:
         """Return the newest hash of every site, for backups, manifests and training runs."""
-        sql = "SELECT site, hash, max(seq) FROM op GROUP BY site ORDER BY site"
-        return {site: newest for site, newest, _ in self._database.rows(sql)}
+        with self._database.reading() as connection:
+            return {site: digest for site, (_, digest) in newest_of(connection).items()}
 
 
 def standing_of(connection: sqlite3.Connection, uuid: str) -> Standing:

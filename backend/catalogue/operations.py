@@ -281,3 +281,16 @@ def read_revision(connection: sqlite3.Connection, rev_uuid: str) -> Revision:
         (rev_uuid,),
     ).fetchone()
     return as_revision(row)
+
+
+def newest_of(connection: sqlite3.Connection) -> dict[str, tuple[int, str]]:
+    """Return number and hash of the newest operation per site."""
+    # From site to site by the index: GROUP BY would pass over every operation.
+    rows = connection.execute(
+        "WITH RECURSIVE s(site) AS (SELECT min(site) FROM op UNION ALL"
+        " SELECT (SELECT min(op.site) FROM op WHERE op.site > s.site) FROM s"
+        " WHERE s.site IS NOT NULL)"
+        " SELECT op.site, op.seq, op.hash FROM s JOIN op ON op.site = s.site"
+        " AND op.seq = (SELECT max(o.seq) FROM op o WHERE o.site = s.site) ORDER BY op.site"
+    )
+    return {site: (seq, digest) for site, seq, digest in rows}

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-from collections.abc import Iterator, Mapping
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from backend.catalogue import episodes, heads, recording
+from backend.catalogue.checked_folders import stamp_of
 from backend.catalogue.findings import Finding, Store
 from backend.catalogue.salvage import salvage
 from backend.catalogue.values import Content, Label
@@ -46,50 +49,120 @@ class Complete:
 
 
 def check_files(where: Store, *, whole: bool) -> Iterator[Finding]:
-    """Yield what is out of order below ``raw``; ``whole`` compares every hash, too."""
+    """Yield what is out of order below ``raw``; ``whole`` compares every hash, too.
+
+    Folders that are known to be in order, and look as they did, are passed over unless ``whole``.
+    """
+    now_ns = time.time_ns()
+    known = {} if whole else where.checked.unchanged(where.folder)
+    names = list(_folders(where, recording.RAW, known))
+    rows = _rows(where, known, {*names, *where.checked.looks} - set(known))
+    if rows is None:
+        known, names = {}, list(_folders(where, recording.RAW, {}))
+        rows = _rows(where, known, set()) or []
+    folders = [name for name in names if name not in known]
+    stamps = {name: stamp_of(where.folder / name) for name in folders}
+    where.checked.forget(set(where.checked.looks) - set(known))
+    disorder: set[str] = set()
+    for finding, folder in _compare(where, folders, rows, whole=whole):
+        disorder.add(folder)
+        yield finding
+    counts = Counter(row.path.rpartition("/")[0] for row in rows)
+    # One that has folders in it is always looked into.
+    outer = {name.rpartition("/")[0] for name in names}
+    for name in set(folders) - disorder - outer:
+        where.checked.remember(name, stamps[name], counts[name], now_ns)
+
+
+def _rows(where: Store, known: Mapping[str, int], folders: set[str]) -> list[Row] | None:
+    """Return the rows of ``folders``, or of all where nothing is ``known``.
+
+    None if they and those of the known folders are not all there are: none must be passed over.
+    """
     sql = "SELECT uuid, path, bytes, sha256, state FROM episode WHERE kind = 'file'"
-    rows = [Row._make(row) for row in where.database.rows(sql)]
+    if not known:
+        return [Row._make(row) for row in where.database.rows(sql)]
+    # '0' follows '/'. Of a folder's own files alone: those further below have one of their own.
+    sql += " AND path >= ?1 || '/' AND path < ?1 || '0' AND NOT instr(substr(path, ?2), '/')"
+    rows = [
+        Row._make(row)
+        for name in sorted(folders)
+        for row in where.database.rows(sql, (name, len(name) + 2))
+    ]
+    (count,) = where.database.one("SELECT count(*) FROM episode WHERE kind = 'file'")
+    return rows if count == len(rows) + sum(known.values()) else None
+
+
+def _compare(
+    where: Store, folders: Sequence[str], rows: Sequence[Row], *, whole: bool
+) -> Iterator[tuple[Finding, str]]:
+    """Yield findings, each with the folder that it is about."""
     by_path = {row.path: row for row in rows}
-    by_uuid = {row.uuid: row for row in rows}
+    index = _Index(where, {row.uuid: row for row in rows})
     found: set[str] = set()
-    parts: list[Path] = []
-    for name, size in _walk(where.folder / recording.RAW, recording.RAW):
-        row = by_path.get(name)
-        if row is not None:
-            found.add(name)
-            if whole or size != row.bytes or row.state != "complete":
-                yield from _known(where, where.folder / name, size, row, whole=whole)
-        elif name.endswith(PART):
-            parts.append(where.folder / name)
-        else:
-            for finding in _unknown(where, where.folder / name, by_uuid):
+    for folder in folders:
+        for name, size in _files(where.folder / folder, folder):
+            row = by_path.get(name)
+            if row is not None:
+                found.add(name)
+                if not whole and size == row.bytes and row.state == "complete":
+                    continue
+                findings = _known(where, where.folder / name, size, row, whole=whole)
+            elif name.endswith(PART):
+                findings = _left_over(where, where.folder / name, by_path)
+            else:
+                findings = _unknown(where, where.folder / name, index)
+            for finding in findings:
                 if finding.kind == "moved":
-                    found.add(by_uuid[finding.target].path)
-                yield finding
+                    found.add(index[finding.target].path)
+                yield finding, folder
     for row in rows:
         if row.path not in found and row.state == "complete":
             said = f"The file of episode {row.uuid} is missing; its label is kept."
-            yield _state(row, "missing", said)
-    for part in parts:
-        yield from _left_over(where, part, by_path)
+            yield _state(row, "missing", said), row.path.rpartition("/")[0]
 
 
-def _walk(folder: Path | str, name: str) -> Iterator[tuple[str, int]]:
-    """Yield episode files and leftovers below ``folder``, named ``name``, with their sizes.
+class _Index(dict[str, Row]):
+    """Rows by uuid; those that were not read before are looked up."""
+
+    def __init__(self, where: Store, rows: Mapping[str, Row]) -> None:
+        super().__init__(rows)
+        self._database = where.database
+
+    def find(self, uuid: str) -> Row | None:
+        """Return the row of an episode file, or None."""
+        if uuid not in self:
+            sql = "SELECT uuid, path, bytes, sha256, state FROM episode WHERE uuid = ?"
+            row = self._database.first(f"{sql} AND kind = 'file'", (uuid,))
+            if row is None:
+                return None
+            self[uuid] = Row._make(row)
+        return self[uuid]
+
+
+def _folders(where: Store, name: str, known: Mapping[str, int]) -> Iterator[str]:
+    """Yield ``name`` and all folders below, in order; none is looked for below a known one."""
+    if not (where.folder / name).is_dir():
+        return
+    yield name
+    if name in known:
+        return
+    with os.scandir(where.folder / name) as entries:
+        below = sorted(e.name for e in entries if e.is_dir(follow_symlinks=False))
+    for each in below:
+        yield from _folders(where, f"{name}/{each}", known)
+
+
+def _files(folder: Path, name: str) -> Iterator[tuple[str, int]]:
+    """Yield episode files and leftovers in ``folder``, called ``name``, with their sizes.
 
     Texts, not paths: a hundred thousand paths take longer to make than to read from the disk.
     """
-    try:
-        with os.scandir(folder) as entries:
-            listed = sorted(entries, key=lambda entry: entry.name)
-    except FileNotFoundError:
-        return
+    with os.scandir(folder) as entries:
+        listed = sorted(entries, key=lambda entry: entry.name)
     for entry in listed:
-        if entry.name.endswith((".mcap", PART)):
-            if entry.is_file(follow_symlinks=False):
-                yield f"{name}/{entry.name}", entry.stat(follow_symlinks=False).st_size
-        elif entry.is_dir(follow_symlinks=False):
-            yield from _walk(entry.path, f"{name}/{entry.name}")
+        if entry.name.endswith((".mcap", PART)) and entry.is_file(follow_symlinks=False):
+            yield f"{name}/{entry.name}", entry.stat(follow_symlinks=False).st_size
 
 
 def _known(where: Store, path: Path, size: int, row: Row, *, whole: bool) -> Iterator[Finding]:
@@ -106,7 +179,7 @@ def _known(where: Store, path: Path, size: int, row: Row, *, whole: bool) -> Ite
             yield _state(row, "damaged", said)
 
 
-def _unknown(where: Store, path: Path, by_uuid: dict[str, Row]) -> Iterator[Finding]:
+def _unknown(where: Store, path: Path, by_uuid: _Index) -> Iterator[Finding]:
     try:
         complete = read_complete(path)
     except InputError as error:
@@ -116,7 +189,7 @@ def _unknown(where: Store, path: Path, by_uuid: dict[str, Row]) -> Iterator[Find
         else:
             yield _torn(where, path, None)
         return
-    row = by_uuid.get(complete.uuid)
+    row = by_uuid.find(complete.uuid)
     if row is None:
         size, name = path.stat().st_size, where.name(path)
         by_uuid[complete.uuid] = Row(complete.uuid, name, size, digest(path), "complete")

@@ -16,6 +16,7 @@ from pathlib import Path
 from backend.catalogue.chain import canonical
 from backend.catalogue.database import add_event
 from backend.catalogue.findings import Finding, Store
+from backend.catalogue.operations import newest_of
 from backend.catalogue.packs import check_packs
 from backend.catalogue.raw_files import check_files
 from backend.catalogue.replay import check_labels
@@ -45,8 +46,8 @@ BUSY_S = 60.0
 def examine(where: Store, *, whole: bool = False) -> Iterator[Finding]:
     """Yield everything out of order, changing nothing.
 
-    ``whole`` reads every file and checks every operation; else sizes and the newest operations
-    are looked at, which takes seconds for 100,000 episodes.
+    ``whole`` reads every file and checks every operation; else the newest operations are looked
+    at, and the sizes of files in folders that are not known to be in order.
     """
     yield from check_labels(where, whole=whole)
     yield from check_files(where, whole=whole)
@@ -70,7 +71,9 @@ def reconcile(where: Store, *, whole: bool = False) -> list[Finding]:
         for start in range(0, len(found), TOGETHER):
             told += _mended(where, found[start : start + TOGETHER])
     follow(where.folder, where.database)
-    for site in _sites(where):
+    with where.database.reading() as connection:
+        sites = list(newest_of(connection))
+    for site in sites:
         with where.database.transaction() as connection:
             where.journal.catch_up(connection, site)
     return told
@@ -108,10 +111,6 @@ def _tell_once(where: Store, finding: Finding) -> bool:
     with where.database.transaction() as connection:
         add_event(connection, PROGRAM, finding.kind, finding.target, body)
     return True
-
-
-def _sites(where: Store) -> list[str]:
-    return [site for (site,) in where.database.rows("SELECT DISTINCT site FROM op")]
 
 
 def _left_overs(where: Store) -> Iterator[Finding]:

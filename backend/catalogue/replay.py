@@ -14,8 +14,8 @@ from pathlib import Path
 from backend.catalogue import heads
 from backend.catalogue.chain import FIRST, link
 from backend.catalogue.findings import Finding, Store
-from backend.catalogue.journal import read_journal
-from backend.catalogue.operations import read_operations, store
+from backend.catalogue.journal import read_journal, tail_of
+from backend.catalogue.operations import newest_of, read_operations, store
 from backend.catalogue.values import Operation
 
 TAIL = 500
@@ -27,7 +27,8 @@ Place = tuple[int, str]
 
 def check_labels(where: Store, *, whole: bool) -> Iterator[Finding]:
     """Yield what is out of order with operations, journals and heads."""
-    catalogue = _newest(where)
+    with where.database.reading() as connection:
+        catalogue = newest_of(connection)
     broken: set[str] = set()
     for site, (seq, _) in catalogue.items():
         bad = _bad_link(where, site, 0 if whole else max(0, seq - TAIL))
@@ -57,8 +58,9 @@ def wrong_heads(where: Store, *, whole: bool) -> list[str]:
         "SELECT DISTINCT r.episode FROM label_rev r LEFT JOIN label_head h USING (episode)"
         " WHERE h.episode IS NULL"
         " UNION SELECT h.episode FROM label_head h LEFT JOIN label_rev r USING (rev_uuid)"
-        " WHERE r.rev_uuid IS NULL OR r.episode != h.episode OR EXISTS"
-        " (SELECT 1 FROM label_rev c WHERE c.episode = h.episode AND c.parent = h.rev_uuid)"
+        " WHERE r.rev_uuid IS NULL OR r.episode != h.episode"
+        " UNION SELECT h.episode FROM label_rev c JOIN label_head h ON h.episode = c.episode"
+        " WHERE c.parent = h.rev_uuid"
     )
     found = {episode for (episode,) in rows}
     if whole:
@@ -74,11 +76,6 @@ def _disobedient(where: Store) -> Iterator[str]:
             found = head and (head.node.rev_uuid, int(len(head.leaves) > 1))
             if found != (rev_uuid, conflict):
                 yield episode
-
-
-def _newest(where: Store) -> dict[str, Place]:
-    rows = where.database.rows("SELECT site, max(seq), hash FROM op GROUP BY site")
-    return {site: (seq, digest) for site, seq, digest in rows}
 
 
 def _journalled(where: Store) -> set[str]:
@@ -148,7 +145,7 @@ def _is_known(where: Store, site: str, place: Place) -> bool:
 def _last_line(path: Path) -> Place | None:
     """Return the place of the last whole line; (0, ...) without any, None if it is unreadable."""
     try:
-        content = path.read_bytes()
+        _, content = tail_of(path)
     except FileNotFoundError:
         return 0, FIRST
     end = content.rfind(b"\n") + 1

@@ -9,7 +9,7 @@ without firing delete triggers, so a trigger before the insert has to find the k
 from __future__ import annotations
 
 APPLICATION_ID = 0x546F7563
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 TABLES = """
 CREATE TABLE series (
@@ -133,7 +133,13 @@ CREATE TABLE schema_migration (
 of its own: what is done of it is what its episodes are.
 """
 
-STEPS = {1: RUNS}
+CHECKED = """
+CREATE TABLE checked_folder (
+    path TEXT PRIMARY KEY, stamp TEXT NOT NULL, rows INTEGER NOT NULL, at_ns INTEGER NOT NULL
+) WITHOUT ROWID;
+"""
+
+STEPS = {1: RUNS, 2: CHECKED}
 """What brings a catalogue of each older schema to the next one."""
 
 KEYS = {

@@ -17,7 +17,7 @@ from backend.catalogue.values import Label
 from backend.core.faults import InputError
 from tests.backend.catalogue.conftest import context_for, small_episode
 
-RELATIONS = ("run", "param", "metric", "artifact", "schema_migration")
+RELATIONS = ("run", "param", "metric", "artifact", "schema_migration", "checked_folder")
 
 
 @pytest.fixture
@@ -31,10 +31,8 @@ def older(tmp_path: Path) -> tuple[Path, str]:
     with closing(sqlite3.connect(folder / "catalog.db", isolation_level=None)) as connection:
         for view in ("campaign", "plan_item"):
             connection.execute(f"DROP VIEW {view}")
-        for table in reversed(RELATIONS):
+        for table in RELATIONS:
             connection.execute(f"DROP TABLE {table}")
-        for table in ("param", "metric", "artifact", "run"):
-            connection.execute(f"DROP TABLE IF EXISTS {table}")
         connection.execute("PRAGMA user_version = 1")
     return folder, entry.uuid
 
@@ -54,7 +52,7 @@ def test_what_was_there_stays_and_the_new_tables_work(
         assert dataset.labels.head(uuid).state == "submitted"
         assert dataset.runs.entries() == []
         rows = dataset.database.rows("SELECT from_version, to_version FROM schema_migration")
-        assert rows == [(1, 2)]
+        assert rows == [(k, k + 1) for k in range(1, schema.SCHEMA_VERSION)]
         assert dataset.database.one("PRAGMA journal_mode") == ("wal",)
     with Dataset.open(folder) as dataset:
         assert dataset.notices == ()
@@ -83,7 +81,7 @@ def test_it_waits_for_a_reader_to_be_gone(
             Dataset.open(folder)
         assert reader.counts()
     with Dataset.open(folder) as dataset:
-        assert dataset.database.schema_version == 2
+        assert dataset.database.schema_version == schema.SCHEMA_VERSION
 
 
 def test_a_step_that_fails_leaves_the_old_one(
@@ -113,7 +111,7 @@ def test_a_death_on_the_way_loses_nothing(older: tuple[Path, str], name: str, be
     with Dataset.open(folder) as dataset:
         assert dataset.labels.head(uuid).state == "submitted"
         assert dataset.labels.head(uuid).label.x_um == 1000
-        assert dataset.database.schema_version == 2
+        assert dataset.database.schema_version == schema.SCHEMA_VERSION
     assert not list(folder.glob(".*.tmp*"))
 
 

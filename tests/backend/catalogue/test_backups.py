@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from backend.catalogue import backups
+from backend.catalogue import backups, operations
 from backend.catalogue.backups import Backup, Backups, check_backup, list_backups, restore, surplus
 from backend.catalogue.database import NAME
 from backend.catalogue.dataset import Dataset
@@ -55,7 +55,7 @@ def test_a_copy_has_what_is_still_in_the_wal(dataset: Dataset, record: Record) -
 
 def dataset_heads(dataset: Dataset) -> backups.Heads:
     with dataset.database.reading() as connection:
-        return backups.heads_of(connection)
+        return operations.newest_of(connection)
 
 
 def test_hourly_while_labels_change(dataset: Dataset, record: Record) -> None:

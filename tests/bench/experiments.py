@@ -36,7 +36,7 @@ SEEDS = range(500, 510)
 
 
 @figure("experiments")
-def batch_against_devices() -> list[Figure]:
+def trials_both_ways() -> list[Figure]:
     """Ten trials of the pot both ways, sensor noise included (drawn differently): stated."""
     catalogue = load_catalogue()
     scenes = [make_scene(catalogue, SceneChoice(seed=seed), HARD) for seed in SEEDS]

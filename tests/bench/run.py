@@ -43,11 +43,16 @@ WORDS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure and print; returns the exit code."""
     parser = argparse.ArgumentParser(prog="make bench", description=__doc__)
-    parser.add_argument("groups", nargs="*", help="measure these groups only")
-    parser.add_argument("--json", action="store_true", help="one JSON object and nothing else")
-    args = parser.parse_args(argv)
     for module in MODULES:
         importlib.import_module(module)
+    groups = sorted({group for group, _ in REGISTER.values()})
+    parser.add_argument(
+        "groups", nargs="*", metavar="group", help=f"measure these only: {', '.join(groups)}"
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object and nothing else")
+    args = parser.parse_args(argv)
+    if unknown := sorted(set(args.groups) - set(groups)):
+        parser.error(f"there is no group {', '.join(unknown)}; there are {', '.join(groups)}")
     wanted = {
         name: measure
         for name, (group, measure) in REGISTER.items()

@@ -200,7 +200,7 @@ class Dataset:
         return episodes.find(self.database, wanted or EpisodeFilter())
 
     def path(self, uuid: str) -> Path:
-        """Return the file of an episode."""
+        """Return the file of an episode; of a packed one its pack, which holds no pictures."""
         return self.folder / self.entry(uuid).path
 
     def read(self, uuid: str) -> Episode:

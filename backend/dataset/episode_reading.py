@@ -58,6 +58,12 @@ def read_episode(path: Path) -> Episode:
 
 def episode_of(contents: Contents, path: Path) -> Episode:
     """Return the episode of a file that was read; raises ``InputError`` naming it if damaged."""
+    if "pack" in contents.metadata:
+        raise InputError(
+            "The file is a pack of simulated episodes: no pictures were kept of them.",
+            str(path),
+            "Open them by the dataset that holds the pack.",
+        )
     if "episode" not in contents.metadata:
         raise InputError("The file holds no single episode.", str(path), FIX)
     with explained(path):

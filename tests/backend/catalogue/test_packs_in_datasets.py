@@ -10,6 +10,9 @@ import pytest
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.recovery import examine, reconcile
 from backend.catalogue.values import Label
+from backend.core.faults import InputError
+from backend.dataset.episode_reading import read_episode
+from backend.dataset.film_reading import read_film
 from backend.dataset.pack_file import EpisodeRow, PackWriter
 from backend.dataset.rows import patch_hex
 from backend.objects.catalogue import load_catalogue
@@ -197,3 +200,21 @@ def test_other_files_among_the_packs_are_left(folder: Path) -> None:
         assert any("single.mcap is no pack" in notice for notice in dataset.notices)
     assert (folder / "packs" / "single.mcap").exists()
     assert states(folder) == ["complete"] * 4
+
+
+def test_a_pack_read_as_one_episode_says_that_no_pictures_were_kept(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    write_pack(path, 3)
+    for read in (read_film, read_episode):
+        with pytest.raises(InputError, match="no pictures were kept"):
+            read(path)
+
+
+def test_a_packed_episode_has_an_empty_film(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    Dataset.open(folder).close()
+    write_pack(folder / "packs" / "a.mcap", 3)
+    with Dataset.open(folder) as dataset:
+        film = dataset.film(dataset.episodes()[0].uuid)
+    assert film.bytes == 0
+    assert all(len(pictures.packed) == 0 for pictures in film.pictures.values())

@@ -106,9 +106,13 @@ class SampleStream:
     def put(self, t_s: FloatArray, values: FloatArray) -> None:
         """Append a block: ``t_s`` (n,) ascending, ``values`` (n, channels), n <= capacity."""
         with self._lock:
-            index = (self._count + np.arange(len(t_s))) % self.capacity
-            self._t_s[index] = t_s
-            self._values[index] = values
+            begin = self._count % self.capacity
+            fits = min(len(t_s), self.capacity - begin)
+            # Slices, the rest from the front: an index array takes several times as long.
+            for ring, block in ((self._t_s, t_s), (self._values, values)):
+                ring[begin : begin + fits] = block[:fits]
+                if fits < len(block):
+                    ring[: len(block) - fits] = block[fits:]
             self._count += len(t_s)
 
     def since(self, cursor: int) -> Samples:
@@ -150,6 +154,11 @@ class SampleStream:
         return float(self._t_s[number % self.capacity])
 
     def _copy(self, first: int, end: int, *, lost: int) -> Samples:
-        """Copy the samples from number ``first`` up to ``end`` (an index array always copies)."""
-        index = np.arange(first, end) % self.capacity
-        return Samples(self._t_s[index], self._values[index], self._count, lost)
+        """Copy the samples from number ``first`` up to ``end``, at most one turn of the ring."""
+        begin = first % self.capacity
+        fits = min(end - first, self.capacity - begin)
+        t_s, values = (
+            np.concatenate((ring[begin : begin + fits], ring[: end - first - fits]))
+            for ring in (self._t_s, self._values)
+        )
+        return Samples(t_s, values, self._count, lost)

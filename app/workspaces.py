@@ -8,11 +8,13 @@ from app.collect.workspace import CollectWorkspace
 from app.operate.workspace import OperateWorkspace
 from app.review.workspace import ReviewWorkspace
 from app.stack.workspace import StackWorkspace
+from app.train.workspace import TrainWorkspace
 from app.workspace import Desk, Workspace
 
 WORKSPACES: tuple[Callable[[Desk], Workspace], ...] = (
     OperateWorkspace,
     CollectWorkspace,
+    TrainWorkspace,
     StackWorkspace,
     ReviewWorkspace,
 )

@@ -111,7 +111,10 @@ QScrollBar::add-page, QScrollBar::sub-page {{ background: transparent; }}
 QListWidget, QPlainTextEdit, QTableWidget {{ background: {bg}; color: {text};
     border: 1px solid {hairline}; border-radius: 5px; selection-background-color: {selection};
     selection-color: {selection_text}; }}
-QListWidget:focus, QPlainTextEdit:focus {{ border: 2px solid {focus}; }}
+QHeaderView::section {{ background: {panel}; color: {muted}; border: none;
+    border-bottom: 1px solid {hairline}; padding: 2px 6px; font-size: {small}pt; }}
+QTableWidget::item {{ padding: 0 6px; }}
+QListWidget:focus, QPlainTextEdit:focus, QTableWidget:focus {{ border: 2px solid {focus}; }}
 QListWidget::item {{ padding: 6px 8px; }}
 """
 

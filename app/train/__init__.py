@@ -1,0 +1,1 @@
+"""The Train workspace: train models, compare them, put one in use."""

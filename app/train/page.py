@@ -1,0 +1,138 @@
+"""Where everything of the Train workspace stands: what to train, how it goes, what came of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from PySide6.QtGui import QFontMetrics
+from PySide6.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
+
+from widgets.panel import Panel, label, rule
+from widgets.theme import Theme, ui_font
+from widgets.training_form import TrainingFormPanel, TrainingIntents
+from widgets.training_plot import CurvePlot, ReliabilityPlot
+from widgets.training_samples import SampleStrip
+from widgets.training_tables import FigureTable, RunTable
+
+
+@dataclass(frozen=True, slots=True)
+class TrainIntents:
+    """What the operator can ask for on this page."""
+
+    form: TrainingIntents
+    choose: Callable[[tuple[str, ...]], None]
+    promote: Callable[[], None]
+    roll_back: Callable[[], None]
+
+
+class TrainPage(QWidget):
+    """The views of the trainings on one dataset."""
+
+    def __init__(self, theme: Theme, intents: TrainIntents) -> None:
+        super().__init__()
+        self.setObjectName("frame")
+        self._theme = theme
+        self.form = TrainingFormPanel(theme, intents.form)
+        self.split = FigureTable(theme, "Episodes per bottom", ("bottom", "train", "held out"))
+        self.leaks = label("", "small", wrap=True)
+        self.loss = CurvePlot(theme, "Loss per epoch (nats a point)")
+        self.iou = CurvePlot(theme, "IoU per epoch", 1.0)
+        self.accuracy = CurvePlot(theme, "Points right per epoch", 1.0)
+        self.reliability = ReliabilityPlot(theme)
+        self.samples = SampleStrip(theme)
+        self.runs = RunTable(theme, intents.choose)
+        self.empty = label("", "muted", wrap=True)
+        self.differences = FigureTable(theme, "What differs", ("setting", "A"))
+        self.figures = FigureTable(theme, "Figures per bottom", ("IoU / points right, %", "A"))
+        self.in_use = label("", "", wrap=True)
+        self.promote, self.roll_back = QPushButton("Promote"), QPushButton("Roll back")
+        self.promote.setToolTip("Put the chosen model in use for its piece (Ctrl+P)")
+        self.roll_back.setToolTip("Put the model before in use again (Ctrl+Shift+P)")
+        self.promote.clicked.connect(intents.promote)
+        self.roll_back.clicked.connect(intents.roll_back)
+        self._arrange()
+
+    def heightForWidth(self, _width: int) -> int:
+        """Ask for no more than the least height: the views share what there is."""
+        return self.minimumHeight()
+
+    def fit_to_theme(self) -> None:
+        """Take the sizes and icons of the theme."""
+        em = QFontMetrics(ui_font(self._theme.scale)).height()
+        self._left.setMinimumWidth(round(17 * em))
+        for table in (self.split, self.runs, self.differences, self.figures):
+            table.fit_to_theme()
+        self.form.draw_icons()
+
+    def show_busy(self, busy: bool) -> None:
+        """Say that something is being read."""
+        self.runs_panel.detail.setText("reading \N{HORIZONTAL ELLIPSIS}" if busy else "")
+
+    def _arrange(self) -> None:
+        self.split_panel = _Yielding("Split", self.split)
+        self.split_panel.header.addWidget(label("Held out", "muted"))
+        self.split_panel.header.addWidget(self.form.numbers.held_out)
+        self.split_panel.column.addWidget(self.leaks)
+        self._left = QWidget()
+        left = _column((self.form, 0), (self.split_panel, 1))
+        left.setContentsMargins(0, 0, 0, 0)
+        self._left.setLayout(left)
+        middle = _column((self._curves(), 3), (self._samples_panel(), 2))
+        right = _column((self._runs_panel(), 4), (self._comparison(), 5))
+        row = QHBoxLayout(self)
+        row.setContentsMargins(10, 8, 10, 8)
+        row.setSpacing(8)
+        row.addWidget(self._left, 5)
+        row.addLayout(middle, 9)
+        row.addLayout(right, 7)
+        self.fit_to_theme()
+
+    def _curves(self) -> Panel:
+        self.curves_panel = Panel("Curves")
+        for pair in ((self.loss, self.reliability), (self.iou, self.accuracy)):
+            line = QHBoxLayout()
+            line.setSpacing(10)
+            for plot in pair:
+                line.addWidget(plot, 1)
+            self.curves_panel.column.addLayout(line, 1)
+        return self.curves_panel
+
+    def _samples_panel(self) -> Panel:
+        self.samples_panel = Panel("Held-out probes, true patch outlined")
+        self.samples_panel.detail.setText("blue p = 0, yellow p = 1")
+        self.samples_panel.column.addWidget(self.samples, 1)
+        return self.samples_panel
+
+    def _runs_panel(self) -> Panel:
+        self.runs_panel = Panel("Trainings", self.runs)
+        self.runs_panel.column.addWidget(self.empty)
+        buttons = QHBoxLayout()
+        buttons.addWidget(self.promote, 1)
+        buttons.addWidget(self.roll_back, 1)
+        self.runs_panel.column.addWidget(rule())
+        self.runs_panel.column.addWidget(self.in_use)
+        self.runs_panel.column.addLayout(buttons)
+        return self.runs_panel
+
+    def _comparison(self) -> Panel:
+        self.comparison = Panel("Comparison")
+        self.comparison.column.addWidget(self.figures, 1)
+        self.comparison.column.addWidget(self.differences, 1)
+        return self.comparison
+
+
+class _Yielding(Panel):
+    """A panel that gives up the room of its table before another panel is squeezed."""
+
+    def hasHeightForWidth(self) -> bool:
+        """Ask for the least height only: its wrapped words would ask for the table's usual one."""
+        return False
+
+
+def _column(*parts: tuple[QWidget, int]) -> QVBoxLayout:
+    column = QVBoxLayout()
+    column.setSpacing(8)
+    for part, stretch in parts:
+        column.addWidget(part, stretch)
+    return column

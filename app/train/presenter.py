@@ -1,0 +1,323 @@
+"""Presenter of the Train workspace: the form to a training, its reports and runs to the views."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from app.label.commits import Commits
+from app.label.post import Post
+from app.train import words
+from app.train.page import TrainPage
+from app.train.reading import InUse, Looked, Reading, scenes_of
+from app.train.thread import Report, Told, TrainingThread
+from backend.catalogue.training_set import LABEL_CHOICES
+from backend.config.load import parse
+from backend.config.method import TrainingSettings
+from backend.core.faults import InputError
+from backend.learning.job import Epoch, Finished
+from backend.learning.recorded import TrainingRequest, request_of
+from backend.learning.training_runs import TrainingRun, read_training_run
+from widgets.fault_cards import CardText, FaultCards, Question
+from widgets.training_form import TrainingButtons, TrainingForm
+from widgets.training_samples import SampleScene
+
+
+class TrainPresenter:
+    """Holds what was read, the trainings that are chosen, and the one that goes on."""
+
+    def __init__(
+        self, page: TrainPage, cards: FaultCards, reading: Reading, commits: Commits, post: Post
+    ) -> None:
+        self._page, self._cards, self._reading = page, cards, reading
+        self._commits, self._post = commits, post
+        self.looked: Looked | None = None
+        self.runs: dict[str, TrainingRun] = {}
+        self.in_use: InUse | None = None
+        self.thread: TrainingThread | None = None
+        self.live = ""
+        """Id of the training that goes on."""
+        self._looks = self._shown = 0
+        self._stamp_s, self._epochs_s = 0.0, list[float]()
+        self._cancelling = False
+
+    # -- reading ----------------------------------------------------------------------------------
+
+    def look(self, *, anew: bool = False) -> None:
+        """Read data and trainings; a later call replaces an earlier one."""
+        form = self._page.form.form()
+        if not form.data:
+            return
+        self._looks += 1
+        number = self._looks
+        self._page.show_busy(True)
+
+        def work() -> Looked | None:
+            return self._reading.look(form, anew=anew) if number == self._looks else None
+
+        self._commits.submit(work, self._take_look, self._failed)
+
+    def _take_look(self, looked: Looked | None) -> None:
+        if looked is None:
+            return
+        page = self._page
+        page.show_busy(False)
+        self.looked, self.in_use = looked, looked.in_use
+        live = self.runs.get(self.live)
+        self.runs = {run.uuid: run for run in looked.runs}
+        if live is not None:
+            self.runs.setdefault(live.uuid, live)
+        overview = looked.overview
+        page.form.show_pieces([(name, name) for name in overview.pieces], overview.piece)
+        page.split.show_rows(words.split_rows(overview))
+        page.split_panel.detail.setText(overview.piece)
+        page.leaks.setText(words.split_words(overview, looked.trouble))
+        self._show_runs()
+        if not page.runs.chosen() and self.runs:
+            page.runs.choose([next(iter(self.runs))])
+
+    # -- orders -----------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Train what is filled in."""
+        if self.thread is not None or not self._can_start():
+            return
+        try:
+            request = training_request(self._page.form.form())
+        except InputError as error:
+            self._failed(error)
+            return
+        self._begin(request)
+
+    def resume(self) -> None:
+        """Go on with the chosen unfinished training."""
+        run = self._chosen_alone()
+        if self.thread is not None or run is None or not run.can_resume:
+            return
+        try:
+            request = request_of(run, Path(self._page.form.form().data))
+        except InputError as error:
+            self._failed(error)
+            return
+        self._begin(request)
+
+    def ask_cancel(self) -> None:
+        """Ask whether the training is to end; it goes on meanwhile."""
+        if self.thread is None or self._cancelling:
+            return
+        text = "Cancel the training? Whole epochs are kept: it can be resumed."
+        self._cards.ask(Question(text, (("Keep training", _nothing), ("Cancel it", self.cancel))))
+
+    def cancel(self) -> None:
+        """End the training after the present batch."""
+        if self.thread is not None:
+            self._cancelling = True
+            self.thread.cancel()
+            self._show_progress("cancelling \N{HORIZONTAL ELLIPSIS}")
+            self.show_buttons()
+
+    def promote(self) -> None:
+        """Put the model of the chosen training in use."""
+        run = self._chosen_alone()
+        if run is not None and run.card is not None:
+            chosen = run
+            self._commits.submit(
+                lambda: self._reading.promote(chosen), self._take_use, self._failed
+            )
+
+    def roll_back(self) -> None:
+        """Put the model before in use again."""
+        if self.in_use is not None and self.in_use.before is not None:
+            piece = self.in_use.piece
+            self._commits.submit(
+                lambda: self._reading.roll_back(piece), self._take_use, self._failed
+            )
+
+    def close(self) -> None:
+        """End a training and wait for its process."""
+        if self.thread is not None:
+            self.thread.close()
+            self.thread = None
+
+    # -- a training that goes on ------------------------------------------------------------------
+
+    def _begin(self, request: TrainingRequest) -> None:
+        self._epochs_s, self._cancelling = [], False
+        self.thread = TrainingThread(
+            request, self._post, Told(self._begun, self._report, self._ended)
+        )
+        self._show_progress("starting \N{HORIZONTAL ELLIPSIS}")
+        self.show_buttons()
+
+    def _begun(self, folder: Path) -> None:
+        self.live = folder.name
+        self._read_run(folder, choose=True)
+        self._show_progress("reading the episodes \N{HORIZONTAL ELLIPSIS}")
+
+    def _report(self, report: Report) -> None:
+        now_s = time.monotonic()
+        if isinstance(report, Epoch):
+            self._epochs_s.append(now_s - self._stamp_s)
+            if not self._cancelling:
+                self._show_progress(words.eta_words(report.epoch, report.epochs, self._epochs_s))
+        elif not isinstance(report, Finished) and not self._cancelling:
+            self._show_progress("first epoch \N{HORIZONTAL ELLIPSIS}")
+        self._stamp_s = now_s
+        if self.live in self.runs:
+            self._read_run(self.runs[self.live].folder)
+
+    def _ended(self, error: Exception | None) -> None:
+        if self.thread is not None:
+            self.thread.close()
+        self.thread, self._cancelling = None, False
+        self._cards.withdraw()
+        self._show_progress("")
+        if error is not None:
+            self._cards.show_card(words.failure_card(error))
+        self.show_buttons()
+        self.look()
+
+    def _read_run(self, folder: Path, *, choose: bool = False) -> None:
+        def take(run: TrainingRun) -> None:
+            # The newest training stands at the top.
+            others = {uuid: one for uuid, one in self.runs.items() if uuid != run.uuid}
+            first = run.uuid not in self.runs
+            self.runs = {run.uuid: run, **others} if first else {**self.runs, run.uuid: run}
+            self._show_runs()
+            if choose:
+                self._page.runs.choose([run.uuid])
+
+        self._commits.submit(lambda: read_training_run(folder), take, self._failed)
+
+    # -- showing ----------------------------------------------------------------------------------
+
+    def choose(self) -> None:
+        """Show what came of the chosen trainings."""
+        self._show_rows()
+        self._show_chosen()
+        self._show_samples()
+        self.show_buttons()
+
+    def show_buttons(self) -> None:
+        """Enable what is allowed now."""
+        page, run = self._page, self._chosen_alone()
+        idle = self.thread is None
+        why = "" if idle else "A training goes on"
+        if idle and not self._can_start():
+            why = "There is nothing to train on yet"
+        resumable = run is not None and run.can_resume
+        page.form.show_buttons(
+            TrainingButtons(
+                start=idle and not why,
+                cancel=not idle and not self._cancelling,
+                resume=idle and resumable,
+                why_not=why,
+            )
+        )
+        use = self.in_use
+        fresh = run is not None and run.card is not None
+        if fresh and run is not None and run.card is not None and use is not None:
+            fresh = not words.is_in_use(run.card, use)
+        page.promote.setEnabled(fresh)
+        page.roll_back.setEnabled(use is not None and use.before is not None)
+        page.in_use.setText(words.in_use_words(use))
+
+    def _can_start(self) -> bool:
+        looked = self.looked
+        return looked is not None and not looked.trouble and not looked.overview.error
+
+    def _chosen(self) -> list[TrainingRun]:
+        return [self.runs[uuid] for uuid in self._page.runs.chosen() if uuid in self.runs]
+
+    def _chosen_alone(self) -> TrainingRun | None:
+        chosen = self._chosen()
+        return chosen[0] if len(chosen) == 1 else None
+
+    def _show_runs(self) -> None:
+        self._show_rows()
+        page = self._page
+        page.empty.setVisible(not self.runs)
+        page.empty.setText("No training on these data yet. Fill in the form, then Start training.")
+        self._show_chosen()
+        self.show_buttons()
+
+    def _show_rows(self) -> None:
+        chosen = self._page.runs.chosen()
+        marks = dict(zip(chosen, words.LETTERS, strict=False)) if len(chosen) > 1 else {}
+        rows = [words.run_row(run, self.in_use, marks) for run in self.runs.values()]
+        self._page.runs.show_runs(rows)
+
+    def _show_chosen(self) -> None:
+        page, chosen = self._page, self._chosen()
+        epochs = max((self._epochs(run) for run in chosen), default=0)
+        best = chosen[0].best_epoch if len(chosen) == 1 else 0
+        for plot, name in (
+            (page.loss, "validation_loss"), (page.iou, "iou"), (page.accuracy, "point_accuracy"),
+        ):  # fmt: skip
+            plot.show_lines(words.curve_lines(chosen, name), epochs, best)
+        page.reliability.show_lines(words.reliability_lines(chosen))
+        letters = words.LETTERS[: max(len(chosen), 1)] if len(chosen) > 1 else ("",)
+        page.differences.show_columns(("what differs" if len(chosen) > 1 else "setting", *letters))
+        page.differences.show_rows(words.difference_rows(chosen))
+        page.figures.show_columns(("IoU / points right, %", *letters))
+        page.figures.show_rows(words.figure_rows(chosen))
+
+    def _epochs(self, run: TrainingRun) -> int:
+        """Return how far the axis reaches: to the last epoch while the training goes on."""
+        done = len(run.curves.get("iou", ()))
+        planned = run.about.params.get("epochs", 0) if run.uuid == self.live else 0
+        return max(done, int(planned)) if self.thread is not None else done
+
+    def _show_samples(self) -> None:
+        chosen, page = self._chosen(), self._page
+        self._shown += 1
+        number = self._shown
+        if len(chosen) != 1 or chosen[0].card is None:
+            page.samples.show_scenes((), "Choose one finished training.")
+            return
+
+        def show(scenes: list[SampleScene]) -> None:
+            if number == self._shown:
+                page.samples.show_scenes(scenes, "This training kept none.")
+
+        def none(error: Exception) -> None:
+            page.samples.show_scenes((), str(error))
+
+        run = chosen[0]
+        self._commits.submit(lambda: scenes_of(run), show, none)
+
+    def _show_progress(self, text: str) -> None:
+        self._page.curves_panel.detail.setText(text)
+
+    def _take_use(self, in_use: InUse | None) -> None:
+        self.in_use = in_use
+        self._show_runs()
+
+    def _failed(self, error: Exception) -> None:
+        self._page.show_busy(False)
+        if isinstance(error, InputError):
+            text = CardText("TRAIN", error.what, f"In {error.where}.", error.fix, reset=False)
+        else:
+            text = words.failure_card(error)
+        self._cards.show_card(text)
+
+
+def training_request(form: TrainingForm) -> TrainingRequest:
+    """Return the request of a form; raises ``InputError``."""
+    settings = {
+        "modality": form.modality,
+        "layers": form.layers,
+        "hidden": form.hidden,
+        "learning_rate": form.learning_rate,
+        "epochs": form.epochs,
+        "batch": form.batch,
+        "validation_share": form.held_out / 100,
+        "seed": form.seed,
+    }
+    labels = next(name for name in LABEL_CHOICES if name == form.labels)
+    parsed = parse(TrainingSettings, settings, "the form")
+    return TrainingRequest(Path(form.data), form.piece, parsed, labels)
+
+
+def _nothing() -> None:
+    """Do nothing: the training goes on."""

@@ -1,0 +1,111 @@
+"""What the page asks of the disk; all of it runs on the reading thread."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from backend.catalogue.training_set import LABEL_CHOICES
+from backend.core.faults import InputError
+from backend.core.flow import FloatArray
+from backend.learning.overview import Candidate, Overview, candidates, overview
+from backend.learning.registry import SHIPPED, Registry
+from backend.learning.samples import Sample, load_samples
+from backend.learning.training_runs import TrainingRun, training_runs
+from backend.objects.catalogue import load_catalogue
+from backend.objects.surface import face_points
+from widgets.training_form import TrainingForm
+from widgets.training_samples import SampleScene
+
+HOW_TO_GET_DATA = "Collect probes (Ctrl+2), or choose another folder (Ctrl+O)."
+
+
+@dataclass(frozen=True, slots=True)
+class InUse:
+    """The model in use for ``piece`` ("" is the shipped one); ``before``: None if never changed."""
+
+    piece: str
+    weights_sha256: str
+    before: str | None
+    since_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Looked:
+    """What there is to train on, the trainings so far, and the model in use.
+
+    ``trouble``: why there is nothing to train on.
+    """
+
+    overview: Overview
+    runs: tuple[TrainingRun, ...]
+    in_use: InUse | None
+    trouble: str = ""
+
+
+class Reading:
+    """Remembers the episodes of the data looked at last: a change of the split reads nothing."""
+
+    def __init__(self, registry: Registry) -> None:
+        self._registry = registry
+        self._key: tuple[str, str] | None = None
+        self._found: Sequence[Candidate] = ()
+
+    def look(self, form: TrainingForm, *, anew: bool) -> Looked:
+        """Read data, trainings and registry."""
+        data, trouble = Path(form.data), ""
+        try:
+            if not data.is_dir():
+                raise InputError("There are no data here yet.", str(data), HOW_TO_GET_DATA)
+            found = self._candidates(form, anew=anew)
+        except InputError as error:
+            found, trouble = (), f"{error.what} {error.fix}"
+            self._key = None
+        seen = overview(found, form.piece, form.held_out / 100, form.seed)
+        runs = tuple(training_runs(data))
+        return Looked(seen, runs, self.in_use(seen.piece or _piece_of(runs)), trouble)
+
+    def in_use(self, piece: str) -> InUse | None:
+        """Return the model in use for a piece."""
+        if not piece:
+            return None
+        path, history = self._registry.in_use(piece), self._registry.history(piece)
+        sha256 = SHIPPED if path is None else path.stem
+        since_ns = history[-1].at_ns if history else 0
+        return InUse(piece, sha256, self._registry.before(piece), since_ns)
+
+    def promote(self, run: TrainingRun) -> InUse | None:
+        """Put the model of a training in use."""
+        use = self._registry.promote(run.model, run=run.uuid)
+        return self.in_use(use.piece)
+
+    def roll_back(self, piece: str) -> InUse | None:
+        """Put the model before in use again."""
+        self._registry.roll_back(piece)
+        return self.in_use(piece)
+
+    def _candidates(self, form: TrainingForm, *, anew: bool) -> Sequence[Candidate]:
+        key = (form.data, form.labels)
+        if anew or key != self._key:
+            labels = next(name for name in LABEL_CHOICES if name == form.labels)
+            self._found = candidates(Path(form.data), labels)
+            self._key = key
+        return self._found
+
+
+def scenes_of(run: TrainingRun) -> list[SampleScene]:
+    """Return the samples of a finished training; raises ``InputError``."""
+    samples = load_samples(run.folder)
+    piece = str(run.about.params.get("piece", ""))
+    points = face_points(load_catalogue().piece(piece).face)
+    return [_scene(sample, points) for sample in samples if len(points) == len(sample.truth)]
+
+
+def _scene(sample: Sample, points: FloatArray) -> SampleScene:
+    detail = f"IoU {100 * sample.iou:.0f} %"
+    return SampleScene(points, sample.probability, sample.truth, sample.bottom, detail)
+
+
+def _piece_of(runs: Sequence[TrainingRun]) -> str:
+    return str(runs[0].about.params.get("piece", "")) if runs else ""

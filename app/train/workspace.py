@@ -1,0 +1,182 @@
+"""The Train workspace as the frame sees it. It needs no bench."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from PySide6.QtWidgets import QFileDialog
+
+from app.label.commits import Commits
+from app.label.post import Post
+from app.train.page import TrainIntents, TrainPage
+from app.train.presenter import TrainPresenter
+from app.train.reading import Reading
+from app.workspace import Command, Desk, Memory, Workspace
+from backend.learning.registry import Registry
+from backend.runs.store import dataset_folder, models_folder
+from widgets.training_form import TrainingForm, TrainingIntents
+
+MOST_FOLDERS = 8
+
+
+class TrainWorkspace(Workspace):
+    """Trainings, their comparison, and the model in use. Reads when it is first entered."""
+
+    name, title, key = "train", "Train", "Ctrl+3"
+    page: TrainPage
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        form = TrainingIntents(
+            start=self._order(TrainPresenter.start),
+            cancel=self._order(TrainPresenter.ask_cancel),
+            resume=self._order(TrainPresenter.resume),
+            changed=self._changed,
+            folder=self._ask_folder,
+            defaults=self._defaults,
+        )
+        self.page = TrainPage(
+            desk.theme,
+            TrainIntents(
+                form,
+                lambda _: self._on(TrainPresenter.choose),
+                self._order(TrainPresenter.promote),
+                self._order(TrainPresenter.roll_back),
+            ),
+        )
+        self.presenter: TrainPresenter | None = None
+        self._post: Post | None = None
+        self._commits: Commits | None = None
+        self._folders = [dataset_folder()]
+        self._show_folders(str(dataset_folder()))
+        self.page.form.show_form(TrainingForm())
+        self.commands = (
+            Command("start", "Start training", "Ctrl+Return", self._order(TrainPresenter.start)),
+            Command(
+                "resume",
+                "Resume the chosen training",
+                "Ctrl+Shift+Return",
+                self._order(TrainPresenter.resume),
+            ),
+            Command("cancel", "Cancel the training", "Esc", self._order(TrainPresenter.ask_cancel)),
+            Command(
+                "promote",
+                "Put the chosen model in use",
+                "Ctrl+P",
+                self._order(TrainPresenter.promote),
+            ),
+            Command(
+                "roll-back",
+                "Put the model before in use again",
+                "Ctrl+Shift+P",
+                self._order(TrainPresenter.roll_back),
+            ),
+            Command("folder", "Train on another folder", "Ctrl+O", self._ask_folder),
+            Command("reread", "Read data and trainings anew", "Ctrl+R", self._reread),
+        )
+
+    def enter(self) -> None:
+        """Read data and trainings, which others may have changed."""
+        if self.presenter is None:
+            self._post = Post(self.page)
+            self._commits = Commits(self._post, "train-reading")
+            reading = Reading(Registry(models_folder()))
+            self.presenter = TrainPresenter(
+                self.page, self._desk.cards, reading, self._commits, self._post
+            )
+        self._reread()
+
+    def close(self) -> None:
+        """End a training and the reading thread; whole epochs are kept."""
+        if self.presenter is not None:
+            self.presenter.close()
+        if self._commits is not None:
+            self._commits.close()
+            self._commits = None
+        if self._post is not None:
+            self._post.close()
+        self.presenter = None
+
+    def fit_to_theme(self) -> None:
+        """Take sizes and icons of the theme."""
+        self.page.fit_to_theme()
+
+    def memory(self) -> Memory:
+        """Return the form and the folders."""
+        form = self.page.form.form()
+        return {**asdict(form), "folders": [str(folder) for folder in self._folders[1:]]}
+
+    def recall(self, memory: Memory) -> Sequence[str]:
+        """Take what was remembered; return what makes no sense."""
+        form, dropped = form_of(memory)
+        folders = memory.get("folders", [])
+        if isinstance(folders, list) and all(isinstance(one, str) for one in folders):
+            self._folders = [self._folders[0], *(Path(one) for one in folders[:MOST_FOLDERS])]
+        else:
+            dropped.append("folders")
+        self._show_folders(form.data)
+        self.page.form.show_pieces([(form.piece, form.piece)] if form.piece else [], form.piece)
+        self.page.form.show_form(form)
+        return dropped
+
+    def take_folder(self, folder: Path) -> None:
+        """Train on ``folder`` from now on."""
+        if folder not in self._folders:
+            self._folders = [*self._folders, folder][-MOST_FOLDERS:]
+            self._folders = [dataset_folder(), *(f for f in self._folders if f != dataset_folder())]
+        self._show_folders(str(folder))
+        self._reread()
+
+    # -- orders -----------------------------------------------------------------------------------
+
+    def _on(self, order: Callable[[TrainPresenter], None]) -> None:
+        if self.presenter is not None:
+            order(self.presenter)
+
+    def _order(self, order: Callable[[TrainPresenter], None]) -> Callable[[], None]:
+        return lambda: self._on(order)
+
+    def _changed(self) -> None:
+        if self.presenter is not None:
+            self.presenter.look()
+
+    def _reread(self) -> None:
+        if self.presenter is not None:
+            self.presenter.look(anew=True)
+
+    def _defaults(self) -> None:
+        form, default = self.page.form.form(), TrainingForm()
+        kept = {"data": form.data, "labels": form.labels, "piece": form.piece}
+        self.page.form.show_form(TrainingForm(**{**asdict(default), **kept}))
+        self._changed()
+
+    def _ask_folder(self) -> None:
+        dialog = QFileDialog(self.page, "Folder of a dataset, or of simulated packs")
+        dialog.setFileMode(QFileDialog.FileMode.Directory)
+        dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
+        dialog.fileSelected.connect(lambda name: self.take_folder(Path(name)))
+        dialog.finished.connect(dialog.deleteLater)
+        dialog.open()
+
+    def _show_folders(self, chosen: str) -> None:
+        own = dataset_folder()
+        entries = [
+            (str(one), "Own dataset" if one == own else f"{one.name}  ({one.parent})")
+            for one in self._folders
+        ]
+        self.page.form.show_data(entries, chosen)
+
+
+def form_of(memory: Mapping[str, object]) -> tuple[TrainingForm, list[str]]:
+    """Return (form, names of what made no sense); those fields get their defaults."""
+    default = asdict(TrainingForm())
+    known, dropped = dict(default), []
+    for name, value in default.items():
+        given = memory.get(name, value)
+        if type(given) is type(value):
+            known[name] = given
+        else:
+            dropped.append(name)
+    return TrainingForm(**known), dropped

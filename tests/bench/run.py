@@ -30,6 +30,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.collecting",
     "tests.bench.experiments",
     "tests.bench.store_files",
+    "tests.bench.queues",
 )
 """Modules that register figures, in the order of the table."""
 

@@ -117,6 +117,8 @@ def two_hundred_kills() -> list[Figure]:
     answer = json.loads(done.stdout.splitlines()[-1])
     said = f"{answer['deaths']} kills, {answer['episodes']} episodes, {answer['labels']} labels"
     lost = len(answer["wrong"])
+    if lost:
+        said += "; " + "; ".join(answer["wrong"])
     return [
         Figure("lost or torn after kill -9", str(lost), "", "0", lost == 0, said),
         Figure("slowest start after a kill", answer["slowest_restart_s"], "s",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.resources import files
@@ -21,6 +21,7 @@ from backend.core.faults import InputError
 from backend.core.flow import Pose
 from backend.devices.sim.bench import BenchStreams, SimulatedBench
 from backend.learning.alone import check_alone, misfits
+from backend.learning.checkpoint import Card
 from backend.learning.registry import Registry
 from backend.objects.catalogue import Catalogue, Piece, load_catalogue
 from backend.objects.starts import draw_start
@@ -285,12 +286,18 @@ def simulated_session(
     def check(choice: SceneChoice) -> Mapping[str, object]:
         scene = make_scene(catalogue, choice, settings)
         loaded = None if estimate else models.check(choice, scene.piece)
-        card = loaded and loaded.card
-        return {
-            "simulation": settings.model_dump(mode="json"),
-            "disturbances": list(disturbances),
-            "model": card and {"piece": card.piece, "weights_sha256": card.weights_sha256},
-            "program": version("touchdown"),
-        }
+        return _told(settings, disturbances, None if loaded is None else loaded.card)
 
     return Session(make_stage, check, catalogue, settings=method, keep=keep or Keep(), facts=facts)
+
+
+def _told(
+    settings: SimulationSettings, disturbances: Sequence[str], card: Card | None
+) -> dict[str, object]:
+    """Return what a run journal says of the bench."""
+    return {
+        "simulation": settings.model_dump(mode="json"),
+        "disturbances": list(disturbances),
+        "model": card and {"piece": card.piece, "weights_sha256": card.weights_sha256},
+        "program": version("touchdown"),
+    }

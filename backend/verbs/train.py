@@ -5,11 +5,15 @@ from __future__ import annotations
 import argparse
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from backend.config.load import parse
 from backend.config.method import TrainingSettings
 from backend.core.faults import InputError
 from backend.verbs.screen import Screen
+
+if TYPE_CHECKING:
+    from backend.learning.job import Finished, Loaded
 
 NAME = "train"
 HELP = "train a contact-patch model"
@@ -102,11 +106,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
                 note(record, report)
             match report:
                 case Loaded():
-                    screen.say(
-                        f"{report.episodes} episodes of {report.piece}, {report.held_out} held out "
-                        f"for validation (whole {report.kept_together}s), {report.points} points, "
-                        f"{report.parameters:,} parameters, base rate {report.base_rate:.3f}"
-                    )
+                    screen.say(_loaded(report))
                     answer |= report.model_dump(mode="json", exclude={"kind", "done"})
                 case Epoch():
                     words = (
@@ -118,11 +118,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
                     exclude = {"kind", "epochs", "reliability"}
                     curve.append(report.model_dump(mode="json", exclude=exclude))
                 case Finished():
-                    screen.say(
-                        f"{report.out}: epoch {report.best_epoch}, validation IoU "
-                        f"{100 * report.iou:.1f} %, point accuracy "
-                        f"{100 * report.point_accuracy:.1f} %, {report.seconds:.0f} s"
-                    )
+                    screen.say(_finished(report))
                     answer |= report.model_dump(mode="json", exclude={"kind"})
                 case Cancelled():
                     screen.say(f"Cancelled after epoch {report.done}; go on with --resume.")
@@ -131,6 +127,22 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         answer["run"] = record.uuid
     screen.result({**answer, "curve": curve})
     return 1 if "cancelled" in answer else 0
+
+
+def _loaded(report: Loaded) -> str:
+    return (
+        f"{report.episodes} episodes of {report.piece}, {report.held_out} held out "
+        f"for validation (whole {report.kept_together}s), {report.points} points, "
+        f"{report.parameters:,} parameters, base rate {report.base_rate:.3f}"
+    )
+
+
+def _finished(report: Finished) -> str:
+    return (
+        f"{report.out}: epoch {report.best_epoch}, validation IoU "
+        f"{100 * report.iou:.1f} %, point accuracy "
+        f"{100 * report.point_accuracy:.1f} %, {report.seconds:.0f} s"
+    )
 
 
 def _writable(out: Path) -> Path:

@@ -168,6 +168,16 @@ class RunStory:
         trial.probes.append(replace(ProbeLook(probe), **known))  # type: ignore[arg-type]
 
 
+def truth_of(
+    trial: TrialStory, look: ProbeLook, face: FloatArray | None, bottom: FloatArray | None
+) -> FloatArray | None:
+    """Return the (k, 2) outline of the true overlap at a probe, None where it is not known."""
+    shift = trial.frame_shift_mm()
+    if shift is None or bottom is None or face is None:
+        return None
+    return ring(overlap(face + (look.offset_mm or (0.0, 0.0)), bottom + shift))
+
+
 def scene_of(
     trial: TrialStory, index: int, face: FloatArray | None, bottom: FloatArray | None
 ) -> BeliefScene:
@@ -176,11 +186,7 @@ def scene_of(
     ``face``, ``bottom``: (k, 2) outlines; the true overlap is shown only after the trial.
     """
     look = trial.probes[index]
-    truth = None
-    shift = trial.frame_shift_mm()
-    if trial.finished is not None and shift is not None and bottom is not None and face is not None:
-        here = look.offset_mm or (0.0, 0.0)
-        truth = ring(overlap(face + here, bottom + shift))
+    truth = None if trial.finished is None else truth_of(trial, look, face, bottom)
     action = look.action
     return BeliefScene(
         belief=look.belief,

@@ -123,6 +123,11 @@ class ProbeStrip(QWidget):
         if chosen == len(probes) - 1:
             bar.setValue(bar.maximum())
 
+    def mark(self, chosen: int) -> None:
+        """Mark another probe."""
+        for thumbnail in self.thumbnails:
+            thumbnail.show_chosen(thumbnail.index == chosen)
+
     def paintEvent(self, _event: QPaintEvent) -> None:
         """Say that there is no probe yet."""
         if not self.thumbnails:

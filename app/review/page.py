@@ -1,76 +1,201 @@
-"""Where everything of the Review workspace stands: a recorded run, trial by trial."""
+"""Where everything of the Review workspace stands: a recording, its parts, one line of time."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QHBoxLayout, QListWidget, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtGui import QKeyEvent
+from PySide6.QtWidgets import (
+    QComboBox,
+    QHBoxLayout,
+    QLineEdit,
+    QListWidget,
+    QPushButton,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
 
 from widgets.belief_legend import BeliefLegend
 from widgets.belief_view import BeliefView
 from widgets.decision_panel import DecisionPanel
+from widgets.elided import ElidedLabel
+from widgets.film import Film
 from widgets.panel import Panel, label, rule
 from widgets.probe_strip import ProbeStrip
+from widgets.recorded_traces import RecordedTraces
 from widgets.score_panel import ScorePanel
 from widgets.theme import Theme
+from widgets.time_line import TimeLine
+
+KINDS = (("all", "All recordings"), ("runs", "Runs"), ("series", "Series of the dataset"))
+FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
+
+
+@dataclass(frozen=True, slots=True)
+class ReviewIntents:
+    """What can be asked for on this page."""
+
+    choose_probe: Callable[[int], None]
+    seek: Callable[[float], None]
+    play: Callable[[], None]
+    filter: Callable[[], None]
+    picture: Callable[[], None]
+    table: Callable[[], None]
+    viewer: Callable[[], None]
+
+
+class QuietList(QListWidget):
+    """A list that leaves letters and Space to its page."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self.setAccessibleName(name)
+        self.setWordWrap(True)
+        self.setResizeMode(QListWidget.ResizeMode.Adjust)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Keep only what moves the choice."""
+        if event.text() and event.text().isprintable():
+            event.ignore()
+        else:
+            super().keyPressEvent(event)
 
 
 class ReviewPage(QWidget):
-    """Runs on the left, the chosen trial in the middle, its story on the right."""
+    """Recordings on the left; belief, decision, film and wrench at one cursor beside it."""
 
-    def __init__(self, theme: Theme, choose_probe: Callable[[int], None]) -> None:
+    def __init__(self, theme: Theme, intents: ReviewIntents) -> None:
         super().__init__()
         self.setObjectName("frame")
-        self.runs, self.trials, self.story = QListWidget(), QListWidget(), QListWidget()
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self._intents = intents
+        self.runs, self.trials = QuietList("Recorded runs"), QuietList("Trials of the run")
+        self.story = QuietList("What happened")
+        self.kind, self.filter = QComboBox(), QLineEdit()
         self.refresh = QPushButton("Refresh")
         self.empty = label("", "muted", wrap=True)
-        self.belief = BeliefView(theme)
-        self.legend = BeliefLegend(theme)
+        self.belief, self.legend = BeliefView(theme), BeliefLegend(theme)
         self.decision = DecisionPanel(_nothing, _nothing)
-        self.strip = ProbeStrip(theme, choose_probe)
+        self.strip = ProbeStrip(theme, intents.choose_probe)
         self.score = ScorePanel(theme)
-        for widget, name in ((self.runs, "Recorded runs"), (self.trials, "Trials of the run"),
-                             (self.story, "What happened")):  # fmt: skip
-            widget.setAccessibleName(name)
-        self.refresh.setToolTip("Look for new runs")
-        for wrapped in (self.runs, self.story):
-            wrapped.setWordWrap(True)
-            wrapped.setResizeMode(QListWidget.ResizeMode.Adjust)
-            wrapped.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.film = Film(theme, intents.seek)
+        self.forces = RecordedTraces(theme, FORCES, intents.seek)
+        self.moments = RecordedTraces(theme, MOMENTS, intents.seek)
+        self.estimate = ElidedLabel("muted")
+        self.time_line, self.at = TimeLine(theme, intents.seek), label("", "small")
+        self.play = QToolButton()
+        self._name()
         self._arrange()
 
     def heightForWidth(self, _width: int) -> int:
         """Ask for no more than the least height: the views share what there is."""
         return self.minimumHeight()
 
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Play with Space; while something moves Space never comes here, it stops."""
+        if event.key() == Qt.Key.Key_Space and not event.isAutoRepeat():
+            self._intents.play()
+        else:
+            super().keyPressEvent(event)
+
+    def show_cursor(self, t_s: float) -> None:
+        """Show all views at one instant."""
+        self.film.show_cursor(t_s)
+        for view in (self.forces, self.moments, self.time_line):
+            view.show_cursor(t_s)
+        self.at.setText(f"{t_s:.2f} s")
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _name(self) -> None:
+        for name, text in KINDS:
+            self.kind.addItem(text, name)
+        self.kind.setAccessibleName("Kind of recording")
+        self.filter.setPlaceholderText("Filter: pot, fell, 2026-11")
+        self.filter.setAccessibleName("Filter of the recordings")
+        self.filter.setClearButtonEnabled(True)
+        self.refresh.setToolTip("Look for new recordings (Ctrl+R)")
+        self.play.setText("Play")
+        self.play.setToolTip("Play from the cursor, or pause (Space, while nothing moves)")
+        self.play.setAccessibleName("Play or pause")
+        self.filter.textChanged.connect(lambda _: self._intents.filter())
+        self.kind.currentIndexChanged.connect(lambda _: self._intents.filter())
+        self.play.clicked.connect(self._intents.play)
+
     def _arrange(self) -> None:
-        runs = Panel("Recorded runs", self.runs)
+        runs = Panel("Recordings")
+        for widget in (self.kind, self.filter):
+            runs.column.addWidget(widget)
+        runs.column.addWidget(self.runs, 1)
         runs.column.addWidget(self.empty)
         runs.column.addWidget(self.refresh)
-        trials = Panel("Trials", self.trials)
-        left = QVBoxLayout()
-        left.setSpacing(8)
-        left.addWidget(runs, 3)
-        left.addWidget(trials, 2)
-        self.belief_panel = Panel("Belief map", self.belief)
-        self.belief_panel.column.addWidget(self.legend)
-        self.belief_panel.column.addWidget(rule())
-        self.belief_panel.column.addWidget(self.strip)
-        middle = QVBoxLayout()
-        middle.setSpacing(8)
-        middle.addWidget(self.decision)
-        middle.addWidget(self.belief_panel, 1)
-        right = QVBoxLayout()
-        right.setSpacing(8)
-        right.addWidget(self.score)
-        right.addWidget(Panel("What happened", self.story), 1)
+        self.trials_panel = Panel("Trials", self.trials)
+        left = _column((runs, 3), (self.trials_panel, 2), (self.score, 0))
+        self.shown = QWidget()
+        self.shown.setObjectName("frame")
+        views = QHBoxLayout()
+        views.setSpacing(8)
+        views.addLayout(_column((self.decision, 0), (self._belief_panel(), 1)), 9)
+        views.addLayout(
+            _column((self._signals_panel(), 3), (Panel("What happened", self.story), 1)), 8
+        )
+        whole = QVBoxLayout(self.shown)
+        whole.setContentsMargins(0, 0, 0, 0)
+        whole.setSpacing(8)
+        whole.addLayout(views, 1)
+        whole.addWidget(self._time_panel())
         row = QHBoxLayout(self)
         row.setContentsMargins(10, 8, 10, 8)
         row.setSpacing(8)
         row.addLayout(left, 5)
-        row.addLayout(middle, 10)
-        row.addLayout(right, 7)
+        row.addWidget(self.shown, 17)
+
+    def _belief_panel(self) -> Panel:
+        self.belief_panel = Panel("Belief map", self.belief)
+        for widget in (self.legend, self.estimate, rule(), self.strip):
+            self.belief_panel.column.addWidget(widget)
+        return self.belief_panel
+
+    def _signals_panel(self) -> Panel:
+        self.signals_panel = Panel("Signals")
+        self.signals_panel.column.addWidget(self.film)
+        self.signals_panel.column.addWidget(self.forces, 1)
+        self.signals_panel.column.addWidget(self.moments, 1)
+        return self.signals_panel
+
+    def _time_panel(self) -> Panel:
+        panel = Panel("Time")
+        row = QHBoxLayout()
+        row.addWidget(self.play)
+        row.addWidget(self.time_line, 1)
+        panel.column.addLayout(row)
+        panel.header.addWidget(self.at)
+        for text, tip, act in (
+            ("Picture", "Export what is shown as PNG and SVG (Ctrl+E)", self._intents.picture),
+            ("Table", "Export the probes as CSV (Ctrl+Shift+E)", self._intents.table),
+            ("Open file", "Open the file in the viewer of this computer (Ctrl+O)",
+             self._intents.viewer),
+        ):  # fmt: skip
+            button = QToolButton()
+            button.setText(text)
+            button.setProperty("role", "plain")
+            button.setToolTip(tip)
+            button.setAccessibleName(tip)
+            button.clicked.connect(act)
+            panel.header.addWidget(button)
+        return panel
+
+
+def _column(*parts: tuple[QWidget, int]) -> QVBoxLayout:
+    column = QVBoxLayout()
+    column.setSpacing(8)
+    for widget, share in parts:
+        column.addWidget(widget, share)
+    return column
 
 
 def _nothing() -> None:

@@ -1,25 +1,30 @@
-"""Presenter of the Review workspace: a journal is read and told again, fact by fact."""
+"""Presenter of the Review workspace: recordings in a list, the chosen one told again."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
 from PySide6.QtCore import QTimer
 
+from app.label.commits import Commits
+from app.review.library import Library
 from app.review.page import ReviewPage
+from app.review.recorded import Recorded, read_recorded
+from app.review.replay import Replay
 from app.review.run_lines import read_run_line
-from app.run_story import RunStory, TrialStory, scene_of
+from app.review.stored import Series, StoredEpisode
+from app.review.timed import TimedTrial, trials_of
+from app.run_story import RunStory, TrialStory
 from app.tally import wilson
-from backend.core.facts import Said, TrialFinished
+from backend.core.facts import Fact
 from backend.core.faults import InputError
-from backend.core.flow import FloatArray, Outcome
-from backend.objects.catalogue import Catalogue, load_catalogue
+from backend.core.flow import Outcome
+from backend.objects.shapes import Outline
 from backend.runs.journal import NAME, read_journal
-from widgets.belief_scene import BeliefScene
-from widgets.decision_panel import DecisionText, decide_in_words
+from widgets.decision_panel import DecisionText
 from widgets.fault_cards import CardText, FaultCards
-from widgets.probe_strip import caption_of
 from widgets.score_panel import WORDS, Score
 
 MOST_RUNS = 200
@@ -28,80 +33,90 @@ MOST_DESCRIBED = 50
 
 
 class ReviewPresenter:
-    """Lists runs, reads the chosen one, shows one trial and one probe of it."""
+    """Lists runs and series, reads the chosen one, shows one trial or episode of it."""
 
-    def __init__(self, page: ReviewPage, runs: Path, cards: FaultCards) -> None:
+    def __init__(
+        self, page: ReviewPage, runs: Path, cards: FaultCards, reader: Commits, library: Library
+    ) -> None:
         self._page, self._runs, self._cards = page, runs, cards
+        self._reader, self.library = reader, library
+        self.replay = Replay(page)
         self._folders: list[Path] = []
-        self._catalogue: Catalogue | None = None
+        self._series: list[Series] = []
         self.story = RunStory()
-        self._lines: list[tuple[int, str]] = []
-        self._probe = 0
+        self.timed: list[TimedTrial] = []
+        self._run: Path | None = None
+        self._chosen: Series | None = None
+        self.file: Path | None = None
+        """What an external viewer would open."""
+        self._asked = 0
         self._described: dict[Path, int] = {}
         self._to_describe: list[int] = []
         self._describing = QTimer(page)
         self._describing.setInterval(0)
         self._describing.timeout.connect(self._describe_next)
         page.refresh.clicked.connect(self.refresh)
-        page.runs.currentRowChanged.connect(self._choose_run)
-        page.trials.currentRowChanged.connect(self._choose_trial)
-        page.decision.show_text(DecisionText("No run chosen", "", "", "Choose a recorded run."))
+        page.runs.currentRowChanged.connect(self._choose_row)
+        page.trials.currentRowChanged.connect(self._choose_part)
+        page.decision.show_text(DecisionText("No run chosen", "", "", "Choose a recording."))
+
+    # -- the list ---------------------------------------------------------------------------------
 
     def refresh(self) -> None:
-        """Look for runs, newest first; what is chosen stays chosen."""
+        """Look for recordings, newest runs first; what is chosen stays chosen."""
         found = [p.parent for p in self._runs.glob(f"*/{NAME}")] if self._runs.is_dir() else []
         found = sorted(found, key=lambda p: p.name, reverse=True)[:MOST_RUNS]
-        self._page.empty.setVisible(not found)
         self._page.empty.setText("No recordings yet. Every run of the Stack workspace is kept.")
         if found != self._folders:
             self._folders = found
             self._described.clear()
-            self._page.runs.blockSignals(True)
-            self._page.runs.clear()
-            self._page.runs.addItems([run_title(folder.name) for folder in found])
-            self._page.runs.setCurrentRow(-1)
-            self._page.runs.blockSignals(False)
+            self._list()
+        self._page.empty.setVisible(not found and not self._series)
         # One run per turn of the event loop: a long list does not hold up the live views.
         self._to_describe = list(range(min(len(found), MOST_DESCRIBED)))
         self._describing.start()
+        self._reader.submit(self.library.series, self._take_series, self._failed)
 
-    def open(self, run: Path) -> bool:
-        """Read a run and show its last trial; a bad journal becomes a card."""
-        story, lines = RunStory(), []
-        try:
-            for fact in read_journal(run):
-                story.take(fact)
-                trial = len(story.trials)
-                if isinstance(fact, Said):
-                    lines.append((trial, fact.text))
-                elif isinstance(fact, TrialFinished):
-                    lines.append((trial, f"{WORDS[fact.outcome].capitalize()}: {fact.reason}"))
-        except (InputError, OSError) as error:
-            what = error.what if isinstance(error, InputError) else str(error)
-            self._cards.show_card(
-                CardText(
-                    "REPLAY",
-                    f"The run could not be read: {what}",
-                    f"In {run}.",
-                    "The other runs are not affected.",
-                    reset=False,
-                )
-            )
-            return False
-        self.story, self._lines = story, lines
-        self._show_run()
-        return True
+    def filter(self) -> None:
+        """Show only recordings of the chosen kind whose line holds all words of the filter."""
+        words = self._page.filter.text().lower().split()
+        kind = self._page.kind.currentData()
+        for row in range(self._page.runs.count()):
+            item = self._page.runs.item(row)
+            is_run = row < len(self._folders)
+            fits = kind == "all" or (kind == "runs") == is_run
+            item.setHidden(not (fits and all(word in item.text().lower() for word in words)))
 
-    def choose_probe(self, index: int) -> None:
-        """Show another probe of the trial."""
-        self._probe = index
-        self._show_trial()
+    def _list(self) -> None:
+        runs = self._page.runs
+        runs.blockSignals(True)
+        runs.clear()
+        runs.addItems([run_title(folder.name) for folder in self._folders])
+        runs.addItems([series.title for series in self._series])
+        runs.setCurrentRow(-1)
+        runs.blockSignals(False)
+        self.filter()
+
+    def _take_series(self, series: list[Series]) -> None:
+        if series != self._series:
+            chosen = self._page.runs.currentRow()
+            self._series = series
+            self._described.clear()
+            self._list()
+            if 0 <= chosen < len(self._folders):
+                self._page.runs.blockSignals(True)
+                self._page.runs.setCurrentRow(chosen)
+                self._page.runs.blockSignals(False)
+            self._to_describe = list(range(min(len(self._folders), MOST_DESCRIBED)))
+            self._describing.start()
+            self._page.empty.setVisible(not self._folders and not series)
 
     def _describe_next(self) -> None:
         if self._to_describe:
             self._describe(self._to_describe.pop(0))
         else:
             self._describing.stop()
+            self.filter()
 
     def _describe(self, row: int) -> None:
         """Say what the run in ``row`` was; read again only if its journal has grown."""
@@ -118,26 +133,114 @@ class ReviewPresenter:
         item.setText(f"{run_title(folder.name)}\n{text}")
         item.setToolTip(text)
 
-    def _choose_run(self, row: int) -> None:
+    def _choose_row(self, row: int) -> None:
         if 0 <= row < len(self._folders):
             self._describe(row)
             self.open(self._folders[row])
+        elif 0 <= row - len(self._folders) < len(self._series):
+            self._open_series(self._series[row - len(self._folders)])
 
-    def _choose_trial(self, _row: int) -> None:
-        trial = self._trial()
-        self._probe = len(trial.probes) - 1 if trial is not None else 0
-        self._show_trial()
+    # -- one recording ----------------------------------------------------------------------------
 
-    def _trial(self) -> TrialStory | None:
-        row = self._page.trials.currentRow()
-        return self.story.trials[row] if 0 <= row < len(self.story.trials) else None
+    def open(self, run: Path) -> bool:
+        """Read a run and show its last trial; a bad journal becomes a card."""
+        story, facts = RunStory(), list[Fact]()
+        try:
+            for fact in read_journal(run):
+                story.take(fact)
+                facts.append(fact)
+        except (InputError, OSError) as error:
+            what = error.what if isinstance(error, InputError) else str(error)
+            self._card(f"The run could not be read: {what}", f"In {run}.")
+            return False
+        self.story, self._run, self._chosen = story, run, None
+        self.timed = trials_of(facts)
+        self._page.trials_panel.detail.setText("of the run")
+        self._show_score()
+        self._fill([_trial_title(trial) for trial in story.trials], len(story.trials) - 1)
+        return True
 
-    def _show_run(self) -> None:
-        page = self._page
-        page.trials.blockSignals(True)
-        page.trials.clear()
-        page.trials.addItems([_trial_title(trial) for trial in self.story.trials])
-        page.trials.blockSignals(False)
+    def _open_series(self, series: Series) -> None:
+        self.story, self._run, self._chosen, self.timed = RunStory(), None, series, []
+        self._page.score.show_score(Score((), 0, None, series.title.split("\n")[1].capitalize()))
+        self._page.trials_panel.detail.setText("episodes of the series")
+        lines = [f"{at}.  {e.state}, {e.uuid[-8:]}" for at, e in enumerate(series.entries, 1)]
+        self._fill(lines, len(lines) - 1)
+
+    def _fill(self, lines: list[str], chosen: int) -> None:
+        trials = self._page.trials
+        trials.blockSignals(True)
+        trials.clear()
+        trials.addItems(lines)
+        trials.setCurrentRow(chosen)
+        trials.blockSignals(False)
+        self._choose_part(chosen)
+
+    def _choose_part(self, row: int) -> None:
+        """Show a trial of the run, or an episode of the series."""
+        self._page.film.stop()
+        self._asked += 1
+        if self._chosen is not None:
+            if 0 <= row < len(self._chosen.entries):
+                self._show_episode(row)
+        elif 0 <= row < len(self.timed):
+            self._show_trial(self.timed[row])
+        else:
+            self.replay.show(None)
+
+    def _show_trial(self, trial: TimedTrial) -> None:
+        assert self._run is not None
+        self.file = self._run / NAME
+        face, bottom = self.face(trial.head.piece), self.face(trial.head.bottom.split("+")[-1])
+        self.replay.show(trial, face, bottom)
+        kept = [f.path for f in trial.episodes() if f.path]
+        if not kept:
+            self._page.signals_panel.detail.setText("no signals were kept")
+            return
+        paths = [self._run / "episodes" / name for name in kept]
+        self._later(lambda: read_recorded(paths), self._take_recorded)
+
+    def _take_recorded(self, recorded: Recorded) -> None:
+        self.replay.take(recorded)
+        detail = self._page.signals_panel.detail
+        detail.setText("; ".join(recorded.missing) or f"{len(recorded.traces)} probes")
+        detail.setToolTip("\n".join(recorded.missing))
+
+    def _show_episode(self, row: int) -> None:
+        assert self._chosen is not None
+        entry = self._chosen.entries[row]
+        self._page.signals_panel.detail.setText("reading")
+        self._later(lambda: self.library.episode(entry), self._take_episode)
+
+    def _take_episode(self, shown: StoredEpisode) -> None:
+        entry = shown.entry
+        self.file = self.library.folder / entry.path
+        self.timed = [shown.trial]
+        self.replay.show(shown.trial, self.face(entry.piece), self.face(entry.bottom))
+        self.replay.take(shown.recorded)
+        self._page.signals_panel.detail.setText(shown.says)
+
+    def _later(self, work: Callable[[], object], take: Callable[..., None]) -> None:
+        """Have ``work`` done on the reader's thread; dropped if something else was chosen since."""
+        asked = self._asked
+
+        def done(result: object) -> None:
+            if asked == self._asked:
+                take(result)
+
+        self._reader.submit(work, done, self._failed)
+
+    def _failed(self, error: Exception) -> None:
+        what = error.what if isinstance(error, InputError) else str(error)
+        self._page.signals_panel.detail.setText("cannot be read")
+        self._card(what, f"In {error.where}." if isinstance(error, InputError) else "")
+
+    def _card(self, what: str, where: str) -> None:
+        self._cards.show_card(
+            CardText("REPLAY", what, where, "The other recordings are not affected.", reset=False)
+        )
+
+    def _show_score(self) -> None:
         outcomes = self.story.outcomes
         placed = sum(o is Outcome.PLACED for o in outcomes)
         head, ended = self.story.head, self.story.ended
@@ -145,49 +248,14 @@ class ReviewPresenter:
         if head is not None:
             last = f"{head.piece} on {head.bottom}, {head.strategy}. {last}"
         trials = head.trials if head is not None else 0
-        page.score.show_score(Score(outcomes, trials, wilson(placed, len(outcomes)), last))
-        page.trials.setCurrentRow(len(self.story.trials) - 1)
-        self._show_trial()
+        self._page.score.show_score(Score(outcomes, trials, wilson(placed, len(outcomes)), last))
 
-    def _show_trial(self) -> None:
-        page, trial = self._page, self._trial()
-        page.story.clear()
-        if trial is None or not trial.probes:
-            page.strip.show_probes([], -1)
-            page.belief.show_scene(BeliefScene())
-            page.decision.show_text(DecisionText("No probe", "", "", self._ending(trial)))
-            return
-        number = page.trials.currentRow() + 1
-        page.story.addItems([text for at, text in self._lines if at == number])
-        face, bottom = self._outlines()
-        scenes = [scene_of(trial, i, face, bottom) for i in range(len(trial.probes))]
-        captions = [caption_of(p.probe, p.stability) for p in trial.probes]
-        self._probe = min(max(self._probe, 0), len(scenes) - 1)
-        page.strip.show_probes(list(zip(scenes, captions, strict=True)), self._probe)
-        page.belief.show_scene(scenes[self._probe])
-        page.legend.show_truth(scenes[self._probe].truth is not None)
-        look = trial.probes[self._probe]
-        page.decision.show_text(decide_in_words(look.stability, look.action))
-        page.belief_panel.detail.setText(f"probe {look.probe} of {len(scenes)}")
-
-    def _ending(self, trial: TrialStory | None) -> str:
-        if trial is None or trial.finished is None:
-            return "There is nothing to show."
-        return trial.finished.reason
-
-    def _outlines(self) -> tuple[FloatArray | None, FloatArray | None]:
-        head = self.story.head
-        if head is None:
-            return None, None
-        if self._catalogue is None:
-            self._catalogue = load_catalogue()
-        outlines: list[FloatArray | None] = []
-        for name in (head.piece, head.bottom.split("+")[-1]):
-            try:
-                outlines.append(self._catalogue.piece(name).face.polygon(96))
-            except InputError:
-                outlines.append(None)
-        return outlines[0], outlines[1]
+    def face(self, name: str) -> Outline | None:
+        """Return the outline of a face, None for an unknown piece."""
+        try:
+            return self.library.catalogue.piece(name).face
+        except InputError:
+            return None
 
 
 def run_title(name: str) -> str:

@@ -2,25 +2,115 @@
 
 from __future__ import annotations
 
-from app.review.page import ReviewPage
+from collections.abc import Callable
+from pathlib import Path
+
+from app.label.commits import Commits
+from app.label.post import Post
+from app.review.exports import export_picture, export_table, open_outside, stamped, table_of
+from app.review.library import Library
+from app.review.page import ReviewIntents, ReviewPage
 from app.review.presenter import ReviewPresenter
 from app.workspace import Command, Desk, Workspace
+from backend.runs.store import dataset_folder
+from widgets.fault_cards import CardText
 
 
 class ReviewWorkspace(Workspace):
-    """Recorded runs, their trials and probes."""
+    """Recorded runs and series, scrubbed along one line of time."""
 
     name, title, key = "review", "Review", "Ctrl+5"
     page: ReviewPage
 
     def __init__(self, desk: Desk) -> None:
-        self.page = ReviewPage(desk.theme, self._choose_probe)
-        self.presenter = ReviewPresenter(self.page, desk.runs, desk.cards)
-        self.commands = (Command("refresh", "Look for new runs", "Ctrl+R", self.presenter.refresh),)
+        self._desk = desk
+        self.exports = desk.runs.parent / "exports"
+        self.page = ReviewPage(desk.theme, self._intents())
+        self.post = Post(self.page)
+        self.reader = Commits(self.post, "review-reader")
+        self.library = Library(dataset_folder())
+        self.presenter = ReviewPresenter(
+            self.page, desk.runs, desk.cards, self.reader, self.library
+        )
+        replay = self.presenter.replay
+        self.commands = (
+            Command("refresh", "Look for new recordings", "Ctrl+R", self.presenter.refresh),
+            Command("play", "Play from the cursor, or pause (Space)", "", self._play),
+            Command("back", "One sample back", "Left", lambda: replay.step(-1), repeats=True),
+            Command("on", "One sample forward", "Right", lambda: replay.step(1), repeats=True),
+            Command("second-back", "One second back", "J", lambda: replay.jump(-1.0),
+                    repeats=True),
+            Command("second-on", "One second forward", "L", lambda: replay.jump(1.0),
+                    repeats=True),
+            Command("filter", "Filter the recordings", "/", self.page.filter.setFocus),
+            Command("picture", "Export what is shown as PNG and SVG", "Ctrl+E", self._picture),
+            Command("table", "Export the probes as CSV", "Ctrl+Shift+E", self._table),
+            Command("viewer", "Open the file outside", "Ctrl+O", self._open_outside),
+        )  # fmt: skip
 
     def enter(self) -> None:
-        """Look for runs that came since."""
+        """Look for recordings that came since."""
+        self.page.setFocus()
         self.presenter.refresh()
 
-    def _choose_probe(self, index: int) -> None:
-        self.presenter.choose_probe(index)
+    def leave(self) -> None:
+        """Stop the film."""
+        self.page.film.stop()
+
+    def close(self) -> None:
+        """End the thread that reads."""
+        self.page.film.stop()
+        self.reader.submit(self.library.close, _done, _failed)
+        self.reader.close()
+        self.post.close()
+
+    # -- orders -----------------------------------------------------------------------------------
+
+    def _intents(self) -> ReviewIntents:
+        # The presenter is made after its page: each intent looks it up when it is wanted.
+        return ReviewIntents(
+            choose_probe=lambda index: self.presenter.replay.choose_probe(index),
+            seek=lambda t_s: self.presenter.replay.seek(t_s),
+            play=self._play,
+            filter=lambda: self.presenter.filter(),
+            picture=self._picture,
+            table=self._table,
+            viewer=self._open_outside,
+        )
+
+    def _play(self) -> None:
+        self.page.film.play_or_pause()
+
+    def _picture(self) -> None:
+        if self.presenter.file is not None:
+            name = stamped(f"review-{self.presenter.replay.cursor_s:.2f}s")
+            self._export(lambda: export_picture(self.page.shown, self.exports, name)[0])
+
+    def _table(self) -> None:
+        p = self.presenter
+        if p.timed:
+            text = table_of(p.timed, p.face(p.timed[0].head.bottom.split("+")[-1]))
+            self._export(lambda: export_table(text, self.exports, stamped("probes")))
+
+    def _open_outside(self) -> None:
+        if self.presenter.file is not None:
+            self._desk.say(open_outside(self.presenter.file))
+        else:
+            self._desk.say("Nothing is chosen that could be opened.")
+
+    def _export(self, write: Callable[[], Path]) -> None:
+        try:
+            self._desk.say(f"Written: {write()}")
+        except OSError as error:
+            what = f"It could not be written: {error.strerror or error}."
+            self._desk.cards.show_card(
+                CardText("EXPORT", what, f"In {self.exports}.", "Free some space.", reset=False)
+            )
+
+
+def _done(_: object) -> None:
+    """Do nothing: the window closes."""
+
+
+def _failed(_: Exception) -> None:
+    """Do nothing: the window closes."""

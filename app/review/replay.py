@@ -1,0 +1,181 @@
+"""One trial at one cursor: film, wrench, belief and decision show what was known at that time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from app.review.page import ReviewPage
+from app.review.recorded import Recorded
+from app.review.timed import PatchScore, TimedTrial
+from app.run_story import TrialStory, scene_of, truth_of
+from backend.core.facts import Said, TrialFinished
+from backend.core.flow import FloatArray
+from backend.objects.shapes import Outline
+from widgets.belief_scene import BeliefScene
+from widgets.decision_panel import DecisionText, decide_in_words
+from widgets.film import latest
+from widgets.probe_strip import caption_of
+from widgets.score_panel import WORDS
+from widgets.time_line import TimeScene
+
+SEGMENTS = 96
+
+
+class Replay:
+    """Holds the cursor. Every view shows the samples with the greatest time not after it."""
+
+    def __init__(self, page: ReviewPage) -> None:
+        self._page = page
+        self.trial: TimedTrial | None = None
+        self.recorded = Recorded()
+        self.cursor_s = 0.0
+        self._whole: TrialStory | None = None
+        self._faces: tuple[Outline | None, Outline | None] = (None, None)
+        self._outlines: tuple[FloatArray | None, FloatArray | None] = (None, None)
+        self._said_s = np.zeros(0)
+        self._known = -1
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First and last instant of facts and signals."""
+        times = [] if self.trial is None else self.trial.times_s.tolist()
+        times += [t for span in self.recorded.spans_s for t in span]
+        return (min(times), max(times)) if times else (0.0, 0.0)
+
+    def show(
+        self, trial: TimedTrial | None, face: Outline | None = None, bottom: Outline | None = None
+    ) -> None:
+        """Show a trial at its end; its signals come later."""
+        self.trial, self.recorded, self._faces = trial, Recorded(), (face, bottom)
+        self._outlines = tuple(  # type: ignore[assignment]
+            None if outline is None else outline.polygon(SEGMENTS) for outline in (face, bottom)
+        )
+        self._whole = None if trial is None else trial.story(float("inf"))
+        lines = [] if trial is None else [(f.t_s, text) for f in trial.facts if (text := _line(f))]
+        self._said_s = np.array([t_s for t_s, _ in lines])
+        self._page.story.clear()
+        self._page.story.addItems([text for _, text in lines])
+        self._page.signals_panel.detail.setText("")
+        self._show_strip()
+        self.take(Recorded())
+
+    def take(self, recorded: Recorded) -> None:
+        """Take the signals of the trial; the cursor stays unless it is beyond them."""
+        self.recorded = recorded
+        span = self.span_s
+        marks = () if self.trial is None else self.trial.marks()
+        self._page.time_line.show_scene(TimeScene(span, recorded.spans_s, marks))
+        self._page.film.show_reel(recorded.reel, span, span[1])
+        self.seek(span[1])
+
+    def seek(self, t_s: float) -> None:
+        """Move the cursor."""
+        low, high = self.span_s
+        self.cursor_s = min(max(t_s, low), high)
+        page = self._page
+        trace = self.recorded.trace_at(self.cursor_s)
+        for view in (page.forces, page.moments):
+            if view.trace is not trace:
+                view.show_trace(trace)
+        page.show_cursor(self.cursor_s)
+        at = latest(self._said_s, self.cursor_s)
+        page.story.setCurrentRow(at)
+        if at < 0:
+            page.story.scrollToTop()
+        self._show_belief()
+
+    def step(self, by: int) -> None:
+        """Move to the next or former sample: a picture, or a fact where there are no pictures."""
+        before = self.cursor_s
+        self._page.film.step(by)
+        if self.cursor_s == before and self.trial is not None:
+            times = np.unique(self.trial.times_s)
+            later, earlier = times[times > before + 1e-9], times[times < before - 1e-9]
+            found = later[:1] if by > 0 else earlier[-1:]
+            if len(found):
+                self.seek(float(found[0]))
+
+    def jump(self, by_s: float) -> None:
+        """Move the cursor by a length of time."""
+        self._page.film.stop()
+        self.seek(self.cursor_s + by_s)
+
+    def choose_probe(self, index: int) -> None:
+        """Move the cursor to where all was known of a probe."""
+        if self.trial is not None and self._whole is not None:
+            self._page.film.stop()
+            self.seek(self.trial.decided_s(self._whole.probes[index].probe))
+
+    def score(self) -> PatchScore | None:
+        """Return how well the patch at the cursor fits the true one."""
+        return None if self.trial is None else self.trial.score(self.cursor_s, self._faces[1])
+
+    # -- showing ----------------------------------------------------------------------------------
+
+    def _show_strip(self) -> None:
+        whole, self._known = self._whole, -1
+        if whole is None or not whole.probes:
+            self._page.strip.show_probes([], -1)
+            return
+        scenes = [self._scene(whole, i) for i in range(len(whole.probes))]
+        captions = [caption_of(p.probe, p.stability) for p in whole.probes]
+        self._page.strip.show_probes(list(zip(scenes, captions, strict=True)), len(scenes) - 1)
+
+    def _scene(self, story: TrialStory, index: int) -> BeliefScene:
+        scene = scene_of(story, index, *self._outlines)
+        if scene.truth is None and self._whole is not None:
+            truth = truth_of(self._whole, story.probes[index], *self._outlines)
+            scene = BeliefScene(
+                scene.belief, scene.stability, scene.path, scene.step_mm, scene.target_mm,
+                scene.clipped, scene.face, truth,
+            )  # fmt: skip
+        return scene
+
+    def _show_belief(self) -> None:
+        """Show belief and decision, only if another fact became known."""
+        page, trial = self._page, self.trial
+        known = 0 if trial is None else len(trial.known(self.cursor_s))
+        if known == self._known:
+            return
+        self._known = known
+        story = None if trial is None else trial.story(self.cursor_s)
+        if story is None or not story.probes:
+            page.belief.show_scene(BeliefScene())
+            page.belief_panel.detail.setText("")
+            page.estimate.setText("")
+            page.strip.mark(-1)
+            page.decision.show_text(DecisionText("No probe", "", "", _ending(story)))
+            return
+        index = len(story.probes) - 1
+        scene, look = self._scene(story, index), story.probes[index]
+        page.belief.show_scene(scene)
+        page.legend.show_truth(scene.truth is not None)
+        page.decision.show_text(decide_in_words(look.stability, look.action))
+        count = len(self._whole.probes) if self._whole is not None else 0
+        page.belief_panel.detail.setText(f"probe {look.probe} of {count}")
+        page.estimate.setText(score_words(self.score()))
+        page.strip.mark(index)
+
+
+def _line(fact: object) -> str:
+    if isinstance(fact, Said):
+        return fact.text
+    if isinstance(fact, TrialFinished):
+        return f"{WORDS[fact.outcome].capitalize()}: {fact.reason}"
+    return ""
+
+
+def _ending(story: TrialStory | None) -> str:
+    if story is None or story.finished is None:
+        return "There is nothing to show at this time."
+    return story.finished.reason
+
+
+def score_words(score: PatchScore | None) -> str:
+    """Write an estimate against the truth."""
+    if score is None:
+        return "Estimate against truth: not known here."
+    return (
+        f"Estimate against truth, probe {score.probe}: IoU {score.iou:.2f}, "
+        f"{100 * score.accuracy:.0f} % of the points right"
+    )

@@ -1,0 +1,310 @@
+"""One line of time in Review: every view shows the newest sample that is not after the cursor."""
+
+import csv
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PySide6.QtCore import QPoint, Qt
+from PySide6.QtGui import QImage
+from PySide6.QtSvg import QSvgRenderer
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication
+
+from app.application import TouchdownApp
+from app.error_hooks import ErrorBox
+from app.review import exports
+from app.review.timed import score_of, trials_of
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.values import EpisodeContext, Label
+from backend.core.facts import EpisodeRecorded, PatchEstimated, RunFinished
+from backend.core.flow import FINGERS, ContactPatch, Outcome
+from backend.dataset.episode_file import write_episode
+from backend.objects.catalogue import load_catalogue
+from backend.runs.journal import Journal
+from tests.app.label.conftest import make_episode
+from tests.app.stand_in import StandInBench
+
+KEY = Qt.Key
+PROBES = 3
+
+
+def shifted(episode, by_s):
+    """Return an episode that was recorded later."""
+    r = episode.recording
+    moved = replace(
+        r,
+        wrench_t_s=r.wrench_t_s + by_s,
+        pose_t_s=r.pose_t_s + by_s,
+        frames=tuple(replace(f, t_s=f.t_s + by_s) for f in r.frames),
+        fields=tuple(replace(f, t_s=f.t_s + by_s) for f in r.fields),
+    )
+    return replace(episode, onset_s=episode.onset_s + by_s, recording=moved)
+
+
+def make_run(folder):
+    """Write a run of one trial: a probe and its decision every four seconds, then the end."""
+    bench, journal = StandInBench(), Journal(folder)
+    (folder / "episodes").mkdir()
+    bench.hub.subscribe(journal)
+    bench.tell_start(trials=1)
+    episodes, decided_s = [], []
+    for probe in range(1, PROBES + 1):
+        bench.turn(4.0)
+        now_s = bench.clock_s()
+        episode = shifted(make_episode(probe), now_s - 3.5)
+        name = f"{probe}.mcap"
+        write_episode(folder / "episodes" / name, episode, None, {})
+        bare = replace(episode, recording=None)
+        bench.hub.publish(EpisodeRecorded(now_s, bare, probe, name))
+        bench.tell_probe(probe, (7.2 - 2.0 * probe, 3.1 - probe), 0.5 if probe == PROBES else -2.0)
+        episodes.append(episode)
+        decided_s.append(now_s)
+    bench.turn(2.0)
+    bench.tell_end(Outcome.PLACED)
+    bench.hub.publish(RunFinished(bench.clock_s(), "run", "finished", ""))
+    journal.close()
+    return episodes, decided_s
+
+
+class Review:
+    """The window at Review, used by keys and clicks."""
+
+    def __init__(self, main, qtbot):
+        self.main, self._qtbot = main, qtbot
+        self.workspace = main.workspaces["review"]
+        self.page, self.presenter = self.workspace.page, self.workspace.presenter
+        self.replay = self.presenter.replay
+
+    def settle(self):
+        QApplication.processEvents()
+        self._qtbot.waitUntil(lambda: not self.workspace.reader.busy, timeout=20_000)
+
+    def press(self, key, modifiers=Qt.KeyboardModifier.NoModifier):
+        QTest.keyClick(self.main.window.windowHandle(), key, modifiers)
+
+    def choose(self, row):
+        self.page.runs.setCurrentRow(row)
+        self.settle()
+        self.page.setFocus()
+
+
+@pytest.fixture
+def start(qapp, qtbot, tmp_path):
+    """Return what opens the window at Review."""
+    running = []
+
+    def begin():
+        main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
+        running.append(main)
+        with qtbot.waitActive(main.window, timeout=5000):
+            main.window.show()
+            main.window.activateWindow()
+        review = Review(main, qtbot)
+        review.press(KEY.Key_5, Qt.KeyboardModifier.ControlModifier)
+        review.settle()
+        return review
+
+    yield begin
+    for main in running:
+        main.close()
+        main.window.deleteLater()
+        main.deleteLater()
+    QApplication.processEvents()
+
+
+@pytest.fixture
+def told(start, tmp_path):
+    episodes, decided_s = make_run(tmp_path / "runs" / "20261121-041511-703")
+    review = start()
+    review.choose(0)
+    return review, episodes, decided_s
+
+
+def newest(times, cursor_s):
+    """Return the greatest time not after the cursor, by looking at all of them."""
+    return max((t for t in times if t <= cursor_s + 1e-9), default=None)
+
+
+def test_all_views_show_the_newest_sample_not_after_the_cursor(told):
+    review, episodes, decided_s = told
+    low, high = review.replay.span_s
+    rng = np.random.default_rng(5)
+    edges = [f.t_s + d for e in episodes for f in e.recording.frames[:2] for d in (0.0, -0.001)]
+    wrench = [(t, v) for e in episodes for t, v in
+              zip(e.recording.wrench_t_s, e.recording.wrench, strict=True)]  # fmt: skip
+    for cursor_s in [low, high, *decided_s, *edges, *rng.uniform(low, high, 25)]:
+        review.replay.seek(float(cursor_s))
+        for finger in FINGERS:
+            frames = [f.t_s for e in episodes for f in e.recording.frames if f.finger == finger]
+            fields = [f for e in episodes for f in e.recording.fields if f.finger == finger]
+            view, wanted = review.page.film.views[finger], newest(frames, cursor_s)
+            if wanted is not None:
+                assert view._frame.t_s == pytest.approx(wanted, abs=1e-6)
+                field_s = newest([f.t_s for f in fields], cursor_s)
+                (field,) = [f for f in fields if f.t_s == field_s]
+                np.testing.assert_allclose(
+                    view._field.displacement_px, field.displacement_px, atol=1e-3
+                )
+            else:
+                assert "frame" not in review.page.film.notes[finger].text()
+        at = newest([t for t, _ in wrench], cursor_s)
+        if at is not None:
+            (values,) = [v for t, v in wrench if t == at]
+            np.testing.assert_allclose(review.page.forces.at_cursor(), values, atol=1e-6)
+        belief = review.page.belief.scene.belief
+        probes = sum(t <= cursor_s + 1e-9 for t in decided_s)
+        assert (0 if belief is None else belief.probes) == probes
+
+
+def test_a_probe_of_the_strip_moves_everything_to_its_decision(told, qtbot):
+    review, _, decided_s = told
+    qtbot.mouseClick(review.page.strip.thumbnails[1], Qt.MouseButton.LeftButton)
+    assert review.replay.cursor_s == pytest.approx(decided_s[1])
+    assert review.page.belief.scene.belief.probes == 2
+    assert [t.chosen for t in review.page.strip.thumbnails] == [False, True, False]
+    assert review.page.time_line.cursor_s == review.page.film.cursor_s == review.replay.cursor_s
+
+
+def test_keys_step_and_jump_and_play(told, qtbot):
+    review, episodes, _ = told
+    frames = sorted(f.t_s for e in episodes for f in e.recording.frames)
+    review.replay.seek(frames[3])
+    review.press(KEY.Key_Left)
+    assert review.replay.cursor_s == pytest.approx(frames[2], abs=1e-6)
+    review.press(KEY.Key_Right)
+    review.press(KEY.Key_Right)
+    assert review.replay.cursor_s == pytest.approx(frames[4], abs=1e-6)
+    review.press(KEY.Key_L)
+    assert review.replay.cursor_s == pytest.approx(frames[4] + 1.0, abs=1e-6)
+    review.press(KEY.Key_J)
+    before = review.replay.cursor_s
+    review.press(KEY.Key_Space)
+    assert review.page.film.playing
+    qtbot.waitUntil(lambda: review.replay.cursor_s > before, timeout=5000)
+    review.press(KEY.Key_Space)
+    assert not review.page.film.playing
+
+
+def test_space_stops_and_does_not_play_while_something_moves(told, monkeypatch):
+    review, *_ = told
+    stops = []
+    monkeypatch.setattr(review.main._stop_key, "_moving", lambda: True)
+    monkeypatch.setattr(review.main._stop_key, "_stop", lambda: stops.append(1))
+    review.press(KEY.Key_Space)
+    assert stops == [1]
+    assert not review.page.film.playing
+
+
+def test_a_click_on_the_line_moves_the_cursor(told):
+    review, *_ = told
+    line = review.page.time_line
+    area = line.area()
+    spot = QPoint(round(area.x(6.0)), round(area.rect.center().y()))
+    QTest.mouseClick(line, Qt.MouseButton.LeftButton, pos=spot)
+    pixel_s = (area.x1 - area.x0) / area.rect.width()
+    assert review.replay.cursor_s == pytest.approx(6.0, abs=pixel_s)
+
+
+def test_the_list_is_filtered_by_words_and_kind(start, tmp_path):
+    for number, piece in ((701, "pot"), (702, "barrel")):
+        folder, bench = tmp_path / "runs" / f"20261121-041511-{number}", StandInBench()
+        journal = Journal(folder)
+        bench.hub.subscribe(journal)
+        bench.tell_start(piece=piece)
+        journal.close()
+    review = start()
+    review._qtbot.waitUntil(lambda: not review.presenter._describing.isActive(), timeout=3000)
+
+    def seen():
+        rows = review.page.runs
+        return [rows.item(i).text().split("\n")[1].split()[0] for i in range(rows.count())
+                if not rows.item(i).isHidden()]  # fmt: skip
+
+    assert seen() == ["barrel", "pot"]
+    review.press(KEY.Key_Slash)
+    QTest.keyClicks(review.page.filter, "pot")
+    assert seen() == ["pot"]
+    review.page.filter.clear()
+    review.page.kind.setCurrentIndex(2)
+    assert seen() == []
+
+
+def test_an_episode_of_the_dataset_is_shown_with_its_label(start, isolated_settings):
+    folder, catalogue = isolated_settings / "data" / "dataset", load_catalogue()
+    with Dataset.open(folder, person="Ann") as dataset:
+        pair = dataset.geometry.store_pair(catalogue.piece("pot"), catalogue.piece("circle15"))
+        context = EpisodeContext("s1", "circle15", pair, "Ann", "g1", "m1")
+        label = Label(4000, -2500, 0, 150)
+        entry = dataset.record(make_episode(3), label, source="measured", context=context)
+    review = start()
+    assert review.page.runs.count() == 1
+    assert "series: pot on circle15, 1 episode" in review.page.runs.item(0).text()
+    review.choose(0)
+    review.settle()
+    assert review.replay.recorded.missing == ()
+    assert review.presenter.file == folder / entry.path
+    assert "Label draft, measured, by Ann" in review.page.signals_panel.detail.text()
+    scene = review.page.belief.scene
+    assert scene.path == ((4.0, -2.5),)
+    # Truth is where face and bottom overlap at the labelled place.
+    piece, bottom = catalogue.piece("pot").face, catalogue.piece("circle15").face
+    assert bottom.contains(0.999 * scene.truth).all()
+    assert piece.contains(scene.truth - (4.0, -2.5)).sum() >= 0.9 * len(scene.truth)
+    assert "IoU" in review.page.estimate.text()
+
+
+def test_an_estimate_against_the_truth_by_counting():
+    disc = load_catalogue().piece("circle15").face
+    points = np.array([[0.0, 0.0], [5.0, 0.0], [9.0, 0.0], [0.0, 9.0]])
+    patch = ContactPatch(points, np.array([0.9, 0.2, 0.8, 0.1]))
+    # Radius 7.5 mm, moved by (1, 0): the first two points touch, 10 and about 9 mm are beside it.
+    score = score_of(4, patch, (3.0, 1.0), (2.0, 1.0), disc)
+    assert (score.probe, score.iou, score.accuracy) == (4, pytest.approx(1 / 3), 0.5)
+
+
+def test_pictures_and_tables_are_written(told, tmp_path):
+    review, _, decided_s = told
+    review.press(KEY.Key_E, Qt.KeyboardModifier.ControlModifier)
+    review.press(KEY.Key_E, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
+    (png,) = (tmp_path / "exports").glob("*.png")
+    (svg,) = (tmp_path / "exports").glob("*.svg")
+    (table,) = (tmp_path / "exports").glob("*.csv")
+    assert QImage(str(png)).width() == review.page.shown.width()
+    assert QSvgRenderer(str(svg)).isValid()
+    rows = list(csv.DictReader(io.StringIO(table.read_text())))
+    assert [int(row["probe"]) for row in rows] == [1, 2, 3]
+    assert [float(row["decided_s"]) for row in rows] == pytest.approx(decided_s)
+    assert [row["verdict"] for row in rows] == ["unstable", "unstable", "stable"]
+    assert {row["outcome"] for row in rows} == {"placed"}
+
+
+def test_a_viewer_that_is_not_there_is_said(told, monkeypatch):
+    review, *_ = told
+    monkeypatch.setattr(exports.shutil, "which", lambda _: None)
+    review.press(KEY.Key_O, Qt.KeyboardModifier.ControlModifier)
+    assert "has no xdg-open" in review.main.window._message.text()
+    started = []
+    monkeypatch.setattr(exports.shutil, "which", lambda _: "/usr/bin/xdg-open")
+    monkeypatch.setattr(
+        exports.QProcess, "startDetached", lambda *args: (started.append(args), (True, 1))[1]
+    )
+    review.press(KEY.Key_O, Qt.KeyboardModifier.ControlModifier)
+    assert started == [("/usr/bin/xdg-open", [str(review.presenter.file)])]
+
+
+def test_a_damaged_episode_leaves_a_gap_and_a_sentence(start, tmp_path):
+    run = tmp_path / "runs" / "20261121-041511-703"
+    make_run(run)
+    (run / "episodes" / "2.mcap").write_bytes(b"torn")
+    review = start()
+    review.choose(0)
+    assert len(review.replay.recorded.traces) == PROBES - 1
+    assert review.page.signals_panel.detail.text().startswith("2.mcap")
+
+
+def test_facts_before_the_first_trial_belong_to_none():
+    assert trials_of([]) == []
+    patch = PatchEstimated(0.0, ContactPatch(np.zeros((1, 2)), np.zeros(1)), (0.0, 0.0), 1)
+    assert trials_of([patch]) == []

@@ -165,7 +165,8 @@ def _scrolled(page: QWidget) -> QScrollArea:
 
 def _rail_button(text: str) -> QToolButton:
     button = QToolButton()
-    button.setText(text)
+    # A long name takes two lines; a single ampersand would mark a key.
+    button.setText(text.replace(" & ", " &&\n"))
     button.setProperty("role", "rail")
     button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextUnderIcon)
     button.setIconSize(QSize(22, 22))

@@ -17,9 +17,10 @@ from widgets.theme import Theme, blend, ui_font
 LINES: dict[GhostKind, Qt.PenStyle] = {
     "commanded": Qt.PenStyle.DashLine,
     "measured": Qt.PenStyle.DotLine,
+    "scene": Qt.PenStyle.DashDotDotLine,
     "model": Qt.PenStyle.DashDotLine,
 }
-AT: dict[GhostKind, float] = {"commanded": 2.1, "measured": 3.9, "model": -0.6}
+AT: dict[GhostKind, float] = {"commanded": 2.1, "measured": 3.9, "scene": 1.0, "model": -0.6}
 """Where on its outline a source is named (rad)."""
 SCALE_BAR_MM = 5.0
 

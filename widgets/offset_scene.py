@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from backend.core.flow import FloatArray, SupportKind
 
-GhostKind = Literal["commanded", "measured", "model"]
+GhostKind = Literal["commanded", "measured", "scene", "model"]
 Point = tuple[float, float]
 
 

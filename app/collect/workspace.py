@@ -28,7 +28,7 @@ TITLES = {COLLECT: "Collect", LABEL: "Label"}
 class CollectWorkspace(Workspace):
     """Collecting needs a bench, labelling does not; both work on the dataset that Label opens."""
 
-    name, title, key = "collect", "Collect", "Ctrl+2"
+    name, title, key = "collect", "Collect & Label", "Ctrl+2"
     page: Halves
 
     def __init__(self, desk: Desk) -> None:

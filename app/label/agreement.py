@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from itertools import combinations
 
-from backend.catalogue.comparison import Comparison
+from backend.catalogue.comparison import Comparison, Sway, sway
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.values import PROGRAM
 
@@ -21,6 +21,9 @@ def agreement_words(dataset: Dataset) -> str:
         found = dataset.compare(first, second)
         if found.episodes >= LEAST:
             parts.append(in_words(first, second, found))
+    swayed = sway(dataset.database, people)
+    if swayed.episodes >= LEAST:
+        parts.append(sway_in_words(swayed))
     return "\n\n".join(parts) or (
         "No two people have answered the same episodes yet.\n\n"
         "In the queue 'Gold' Enter keeps your displacement as an opinion: no label changes."
@@ -47,6 +50,16 @@ def in_words(first: str, second: str, c: Comparison) -> str:
     if not any(map(math.isnan, c.seconds)):
         lines.append(f"time {c.seconds[0]:.1f} s and {c.seconds[1]:.1f} s an episode")
     return "\n".join(line for line in lines if line)
+
+
+def sway_in_words(s: Sway) -> str:
+    """Return how far labels made blind lie from those made with the model in sight."""
+    lines = [f"Blind minus shown, {s.episodes} episodes"]
+    for axis, bias in (("x", s.x_mm), ("y", s.y_mm)):
+        limits = f", 95 % limits {_signed(bias.lower)} to {_signed(bias.upper)}"
+        known = "" if math.isnan(bias.lower) else limits
+        lines.append(f"{axis}: mean difference {_signed(bias.mean)} mm{known}")
+    return "\n".join(lines)
 
 
 def _figure(name: str, value: float, unit: str = "") -> str:

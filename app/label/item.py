@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from app.label.scene_shots import SceneEvidence, scene_of
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.geometry import Pair
 from backend.catalogue.values import EpisodeEntry
@@ -86,6 +87,7 @@ class LabelItem:
     trace: WrenchTrace | None
     model: ModelLabel | None
     bytes: int
+    scene: SceneEvidence | None = None
     ahead: Ahead | None = None
 
     @property
@@ -162,7 +164,9 @@ def make_item(
     }
     numbers = 0 if recording is None else recording.wrench.nbytes + recording.pose_mm.nbytes
     per_field = sum(len(x) for x in fields.values()) * 3 * 1024
+    scene = scene_of(episode, pair, outlines[0])
     return LabelItem(
         entry, episode, pair, *outlines, reel, trace, model,
-        film.bytes + numbers + per_field + len(FINGERS) * KEPT_PICTURES * PICTURE_BYTES,
+        film.bytes + numbers + per_field + len(FINGERS) * KEPT_PICTURES * PICTURE_BYTES
+        + (0 if scene is None else scene.bytes), scene,
     )  # fmt: skip

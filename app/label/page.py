@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from PySide6.QtCore import QEvent, Qt
@@ -29,6 +29,7 @@ from widgets.offset_view import OffsetView
 from widgets.panel import Panel
 from widgets.phase_plot import PhasePlot
 from widgets.recorded_traces import NAMES, RecordedTraces
+from widgets.scene_shot import SceneShotView
 from widgets.state_strip import StateStrip
 from widgets.theme import Theme
 from widgets.unsaved_banner import UnsavedBanner
@@ -107,7 +108,7 @@ class LabelPage(QWidget):
         self.strip = StateStrip(theme)
         self.view = OffsetView(theme, intents.move, intents.drop)
         self.verdict, self.basis = ElidedLabel("head"), ElidedLabel("muted")
-        self.model_line = ElidedLabel("muted")
+        self.model_line, self.scene_line = ElidedLabel("muted"), ElidedLabel("muted")
         self.message = ElidedLabel("")
         self.entry = Entry("Displacement x,y in mm", "x,y in mm: Enter sets, Esc leaves",
                            intents.typed, self.leave_entry)  # fmt: skip
@@ -115,19 +116,19 @@ class LabelPage(QWidget):
         self._answer: Callable[[str], None] = _nothing
         self.banner = UnsavedBanner(intents.again, intents.discard)
         self.film = Film(theme, intents.seek)
+        self.shots = SceneShotView(theme)
+        self.pictures = _choice("Pictures", ["Tactile film", "Scene camera"])
         self.forces = RecordedTraces(theme, FORCES, intents.seek)
         self.moments = RecordedTraces(theme, MOMENTS, intents.seek)
         self.phase = PhasePlot(theme)
-        self.curves = QComboBox()
-        self.curves.setProperty("role", "compact")
-        self.curves.setAccessibleName("Curves on one axis")
-        self.curves.addItem("Forces, moments")
-        self.curves.addItems([f"{NAMES[a]} with {NAMES[b]}" for a, b in PAIRS])
+        pairs = [f"{NAMES[a]} with {NAMES[b]}" for a, b in PAIRS]
+        self.curves = _choice("Curves on one axis", ["Forces, moments", *pairs])
         self.person = QPushButton("nobody")
         self.person.setToolTip("Who labels (Ctrl+U)")
         self.choice = ChoiceBar(self)
         self.queue.activated.connect(self._queue_chosen)
         self.curves.activated.connect(self._curves_chosen)
+        self.pictures.currentIndexChanged.connect(self._pictures_chosen)
         self.person.clicked.connect(intents.person)
         self._arrange()
 
@@ -156,6 +157,7 @@ class LabelPage(QWidget):
         for widget in (
             self.verdict,
             self.basis,
+            self.scene_line,
             self.model_line,
             self.entry,
             self.words,
@@ -169,7 +171,10 @@ class LabelPage(QWidget):
         return column
 
     def _right(self) -> QVBoxLayout:
-        film = Panel("Tactile film", self.film)
+        film = Panel("Pictures", self.film)
+        film.column.addWidget(self.shots, 1)
+        self.shots.hide()
+        film.header.addWidget(self.pictures)
         self.film_panel = film
         curves = Panel("Wrench")
         self.wrench_panel = curves
@@ -252,6 +257,15 @@ class LabelPage(QWidget):
         self._intents.choose_queue(str(self.queue.itemData(at)))
         self.setFocus()
 
+    def _pictures_chosen(self, at: int) -> None:
+        """Show film or scene in one place: neither changes the size of what is below."""
+        if at == 1:
+            self.shots.setFixedHeight(self.film.height())
+        self.film.stop()
+        self.film.setVisible(at == 0)
+        self.shots.setVisible(at == 1)
+        self.setFocus()
+
     def _curves_chosen(self, at: int) -> None:
         if at == 0:
             self.forces.show_channels(FORCES)
@@ -259,6 +273,15 @@ class LabelPage(QWidget):
             self.forces.show_channels(PAIRS[at - 1])
         self.moments.setVisible(at == 0)
         self.setFocus()
+
+
+def _choice(name: str, texts: Sequence[str]) -> QComboBox:
+    """Return a narrow list for the header of a panel."""
+    made = QComboBox()
+    made.setProperty("role", "compact")
+    made.setAccessibleName(name)
+    made.addItems(list(texts))
+    return made
 
 
 def _nothing(_text: str) -> None:

@@ -14,6 +14,7 @@ from PySide6.QtCore import QTimer
 from app.label import show
 from app.label.commits import Commits
 from app.label.edit import Edit, parse
+from app.label.evidence import badges_of
 from app.label.item import LabelItem, Prelabel, Sheets, reader
 from app.label.looking import LookClock
 from app.label.page import LabelPage
@@ -191,6 +192,7 @@ class LabelPresenter:
             self.present = None
             self._page.view.show_scene(None)
             self._page.film.show_reel({}, (0.0, 2.0), 0.0)
+            self._page.shots.show_shots(())
             self._page.verdict.setText("")
             if self.walk.uuid is None:
                 self._page.say(EMPTY.get(self.sitting.queue, "This queue is empty."))
@@ -228,11 +230,11 @@ class LabelPresenter:
             self._show_saving()
 
     def badges(self) -> tuple[str, ...]:
-        """Return the badge of the present label against its model, if it is notable."""
+        """Return the badge of the present label, if other evidence differs notably."""
         now = self.present
         if now is None or self.sitting.hides:
             return ()
-        return show.badges_of(now.edit, now.item.model)
+        return badges_of(now.edit, now.item)
 
     def _show_saving(self) -> None:
         page, now, trouble = self._page, self.present, self.saving.trouble

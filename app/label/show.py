@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from app.label.edit import Edit, as_pair
-from app.label.item import CURSOR_S, LabelItem, ModelLabel
+from app.label.edit import Edit
+from app.label.evidence import ghosts_of, model_words, scene_words
+from app.label.item import CURSOR_S, LabelItem
 from app.label.page import LabelPage
+from app.label.scene_shots import shots_of
 from app.label.words import rests_on, source_words
 from backend.catalogue.values import Revision
-from backend.placement.offset_fit import NOTABLE_SIGMAS, sigmas_apart
 from backend.placement.resting import rest_at
-from widgets.offset_scene import Ghost, OffsetScene, offset_in_words, verdict_in_words
-
-LEAST_SIGMA_MM = 0.05
-"""What a label is trusted at best when it is compared with a model."""
+from widgets.offset_scene import OffsetScene, offset_in_words, verdict_in_words
 
 
 def show_item(page: LabelPage, item: LabelItem) -> None:
@@ -44,7 +42,10 @@ def show_edit(
     else:
         page.basis.setText(f"{offset_in_words(scene.offset_mm)}: {rests_on(edit.base)}")
     page.basis.setToolTip(page.basis.text())
-    page.model_line.setText(model_words(edit, item.model, hidden=hidden))
+    page.model_line.setText(model_words(edit, item, hidden=hidden))
+    page.scene_line.setText(scene_words(edit, item, hidden=hidden))
+    outlines = item.face, item.bottom
+    page.shots.show_shots(shots_of(item.scene, edit, outlines, hidden=hidden))
 
 
 def scene_of(
@@ -61,48 +62,3 @@ def scene_of(
         item.bottom, item.face, offset, edit.yaw_rad, f.points_mm, f.touching, f.hull_mm,
         f.centre_mm, f.margin_mm, f.support, f.too_close, edit.sigma_mm, ghosts,
     )  # fmt: skip
-
-
-def ghosts_of(item: LabelItem, history: Sequence[Revision]) -> tuple[Ghost, ...]:
-    """Return where the bench was told to go, where it measured itself, and the model's place."""
-    said = {r.source: r.label for r in history if r.label.is_set}
-    ghosts = []
-    commanded = said.get("commanded")
-    at = commanded.offset_mm if commanded is not None else item.episode.offset_mm
-    sigma_um = (commanded.sigma_um or 0) if commanded is not None else 0
-    ghosts.append(Ghost("commanded", as_pair(at), sigma_um / 1e3))
-    measured = said.get("measured")
-    if measured is not None:
-        sigma_mm = (measured.sigma_um or 0) / 1e3
-        ghosts.append(Ghost("measured", as_pair(measured.offset_mm), sigma_mm))
-    if item.model is not None:
-        fit = item.model.fit
-        ghosts.append(Ghost("model", fit.offset_mm, fit.sigma_mm))
-    return tuple(ghosts)
-
-
-def apart(edit: Edit, model: ModelLabel | None) -> float | None:
-    """Return how many joint uncertainties the label lies from the model's; None: no telling."""
-    if model is None or edit.offset_mm is None or edit.source == model.source:
-        return None
-    return sigmas_apart(edit.offset_mm, max(edit.sigma_mm, LEAST_SIGMA_MM), model.fit)
-
-
-def badges_of(edit: Edit, model: ModelLabel | None) -> tuple[str, ...]:
-    """Return the badge of a notable difference, if there is one."""
-    distance = apart(edit, model)
-    if distance is None or distance <= NOTABLE_SIGMAS:
-        return ()
-    return (f"model {distance:.1f} \N{GREEK SMALL LETTER SIGMA} off",)
-
-
-def model_words(edit: Edit, model: ModelLabel | None, *, hidden: bool) -> str:
-    """Say what the model makes of it."""
-    if hidden:
-        return "Model and other sources are hidden."
-    if model is None:
-        return "No model of this piece, or it cannot judge this episode."
-    where = offset_in_words(model.fit.offset_mm, model.fit.sigma_mm)
-    distance = apart(edit, model)
-    far = "" if distance is None else f", {distance:.1f} sigma off"
-    return f"Model {model.weights_sha256[:8]}: {where}{far} (M)"

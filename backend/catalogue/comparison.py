@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import fmean, median
 
@@ -51,8 +52,34 @@ class Comparison:
     seconds: tuple[float, float]
 
 
-def answers(database: Database, person: str) -> dict[str, Answer]:
-    """Return the last answer of ``person`` for each episode: set, accepted, or an opinion."""
+@dataclass(frozen=True, slots=True)
+class Sway:
+    """What a suggestion in sight does: answers made blind minus those made with it shown."""
+
+    episodes: int
+    x_mm: Bias
+    y_mm: Bias
+
+
+def sway(database: Database, people: Sequence[str]) -> Sway:
+    """Return blind minus shown over the episodes that were answered both ways, by whomever."""
+    blind: dict[str, Label] = {}
+    shown: dict[str, Label] = {}
+    for person in people:
+        for kind, found in ((True, blind), (False, shown)):
+            given = answers(database, person, blind=kind).items()
+            found.update((uuid, answer.label) for uuid, answer in given if answer.label.is_set)
+    both = [uuid for uuid in blind if uuid in shown]
+    a = np.array([blind[u].offset_mm for u in both], dtype=np.float64).reshape(-1, 2)
+    b = np.array([shown[u].offset_mm for u in both], dtype=np.float64).reshape(-1, 2)
+    return Sway(len(both), agreement.bias(a[:, 0], b[:, 0]), agreement.bias(a[:, 1], b[:, 1]))
+
+
+def answers(database: Database, person: str, *, blind: bool | None = None) -> dict[str, Answer]:
+    """Return the last answer of ``person`` for each episode: set, accepted, or an opinion.
+
+    ``blind``: only those known to be made without (True) or with (False) a suggestion in sight.
+    """
     sql = """
     SELECT episode, geometry, x_um, y_um, theta_mdeg, sigma_um, verdict,
         json_extract(body, '$.seen_ms'), json_extract(body, '$.blind')
@@ -69,10 +96,12 @@ def answers(database: Database, person: str) -> dict[str, Answer]:
     """
     found: dict[str, Answer] = {}
     for row in database.rows(sql, (person,)):
-        episode, geometry, *label, verdict, seen_ms, blind = row
+        episode, geometry, *label, verdict, seen_ms, hidden = row
+        if blind is not None and (hidden is None or bool(hidden) is not blind):
+            continue
         # The last one counts, and stands where it was given.
         found.pop(episode, None)
-        found[episode] = Answer(episode, geometry, Label(*label), verdict, seen_ms, bool(blind))
+        found[episode] = Answer(episode, geometry, Label(*label), verdict, seen_ms, bool(hidden))
     return found
 
 

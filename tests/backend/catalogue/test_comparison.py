@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from backend.catalogue.comparison import sway
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.values import Label, Looked
 from tests.backend.catalogue.conftest import Record
@@ -60,3 +61,20 @@ def test_one_common_episode_gives_what_one_can_give(dataset: Dataset, record: Re
     assert (found.bias_x_mm.mean, found.rms_mm) == pytest.approx((0.1, 0.1))
     assert math.isnan(found.bias_x_mm.deviation)
     assert math.isnan(found.icc_x)
+
+
+def test_labels_made_blind_are_held_against_those_made_with_the_model_in_sight(
+    dataset: Dataset, record: Record
+) -> None:
+    uuids = [record(1000 * k, 0).uuid for k in range(5)]
+    for k, uuid in enumerate(uuids):
+        shown = Label(1000 * k, 0, 0, 50)
+        dataset.labels.opinion("ann", uuid, shown, looked=Looked(2000, blind=False))
+        if k < 4:
+            blind = Label(1000 * k + SHIFTS_UM[k], 500, 0, 50)
+            dataset.labels.opinion("bob", uuid, blind, looked=Looked(2000, blind=True))
+    found = sway(dataset.database, ["ann", "bob"])
+    assert found.episodes == 4
+    assert found.x_mm.mean == pytest.approx(sum(SHIFTS_UM[:4]) / 4e3)
+    assert found.y_mm.mean == pytest.approx(0.5)
+    assert sway(dataset.database, ["ann"]).episodes == 0

@@ -1,0 +1,94 @@
+"""What speaks for or against a label: the scene camera, the model, and how far they are off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from app.label.edit import Edit, as_pair
+from app.label.item import LabelItem
+from backend.catalogue.values import Revision
+from backend.placement.offset_fit import NOTABLE_SIGMAS, OffsetFit, sigmas_apart
+from widgets.offset_scene import Ghost, offset_in_words
+
+LEAST_SIGMA_MM = 0.05
+"""What a label is trusted at best when it is compared with other evidence."""
+
+
+def from_model(edit: Edit, item: LabelItem) -> float | None:
+    """Return how many joint uncertainties the label lies from the model's; None: no telling."""
+    if item.model is None or edit.source == item.model.source:
+        return None
+    return _apart(edit, item.model.fit)
+
+
+def from_scene(edit: Edit, item: LabelItem) -> float | None:
+    """Return how many joint uncertainties the label lies from what the camera saw."""
+    seen = item.scene.place if item.scene is not None else None
+    return None if seen is None else _apart(edit, seen)
+
+
+def badges_of(edit: Edit, item: LabelItem) -> tuple[str, ...]:
+    """Return the badge of a notable difference from the surest evidence, if there is one.
+
+    Where the camera measured the face the model is not asked: it errs by more than a millimetre.
+    """
+    name, distance = "scene", from_scene(edit, item)
+    if distance is None and (item.scene is None or item.scene.place is None):
+        name, distance = "model", from_model(edit, item)
+    if distance is None or distance <= NOTABLE_SIGMAS:
+        return ()
+    return (f"{name} {distance:.1f} \N{GREEK SMALL LETTER SIGMA} off",)
+
+
+def ghosts_of(item: LabelItem, history: Sequence[Revision]) -> tuple[Ghost, ...]:
+    """Return where the bench was told to go, where arm, camera and model put the face."""
+    said = {r.source: r.label for r in history if r.label.is_set}
+    ghosts = []
+    commanded = said.get("commanded")
+    at = commanded.offset_mm if commanded is not None else item.episode.offset_mm
+    sigma_um = (commanded.sigma_um or 0) if commanded is not None else 0
+    ghosts.append(Ghost("commanded", as_pair(at), sigma_um / 1e3))
+    measured = said.get("measured")
+    if measured is not None:
+        sigma_mm = (measured.sigma_um or 0) / 1e3
+        ghosts.append(Ghost("measured", as_pair(measured.offset_mm), sigma_mm))
+    if item.scene is not None and item.scene.place is not None:
+        ghosts.append(Ghost("scene", item.scene.place.offset_mm, item.scene.place.sigma_mm))
+    if item.model is not None:
+        fit = item.model.fit
+        ghosts.append(Ghost("model", fit.offset_mm, fit.sigma_mm))
+    return tuple(ghosts)
+
+
+def scene_words(edit: Edit, item: LabelItem, *, hidden: bool) -> str:
+    """Say what the scene camera makes of it."""
+    if hidden:
+        return ""
+    if item.scene is None:
+        return "No scene picture: nothing here saw whether the piece slipped in the grasp."
+    place = item.scene.place
+    if place is None:
+        return "Scene camera: the rim of the face cannot be made out."
+    far = _far(from_scene(edit, item))
+    return f"Scene camera: {offset_in_words(place.offset_mm, place.sigma_mm)}{far}"
+
+
+def model_words(edit: Edit, item: LabelItem, *, hidden: bool) -> str:
+    """Say what the model makes of it."""
+    if hidden:
+        return "Model and other sources are hidden."
+    model = item.model
+    if model is None:
+        return "No model of this piece, or it cannot judge this episode."
+    where = offset_in_words(model.fit.offset_mm, model.fit.sigma_mm)
+    return f"Model {model.weights_sha256[:8]}: {where}{_far(from_model(edit, item))} (M)"
+
+
+def _apart(edit: Edit, other: OffsetFit) -> float | None:
+    if edit.offset_mm is None:
+        return None
+    return sigmas_apart(edit.offset_mm, max(edit.sigma_mm, LEAST_SIGMA_MM), other)
+
+
+def _far(distance: float | None) -> str:
+    return "" if distance is None else f", {distance:.1f} sigma off"

@@ -83,13 +83,19 @@ def _rows(where: Store, known: Mapping[str, int], folders: set[str]) -> list[Row
     if not known:
         return [Row._make(row) for row in where.database.rows(sql)]
     # '0' follows '/'. Of a folder's own files alone: those further below have one of their own.
-    sql += " AND path >= ?1 || '/' AND path < ?1 || '0' AND NOT instr(substr(path, ?2), '/')"
+    # Asked of the index by path first, and of the rows then: most folders have none to read.
+    sql += (
+        " AND uuid IN (SELECT uuid FROM episode WHERE path >= ?1 || '/' AND path < ?1 || '0'"
+        " AND NOT instr(substr(path, ?2), '/'))"
+    )
     rows = [
         Row._make(row)
         for name in sorted(folders)
         for row in where.database.rows(sql, (name, len(name) + 2))
     ]
-    (count,) = where.database.one("SELECT count(*) FROM episode WHERE kind = 'file'")
+    # Not by kind, which is in no index: what is not in a pack is a file.
+    count_sql = "SELECT count(*) FROM episode WHERE NOT (path >= 'packs/' AND path < 'packs0')"
+    (count,) = where.database.one(count_sql)
     return rows if count == len(rows) + sum(known.values()) else None
 
 

@@ -38,6 +38,7 @@ class TrainPresenter:
         self.live = ""
         """Id of the training that goes on."""
         self._looks = self._shown = 0
+        self._sampled: tuple[tuple[str, bool], ...] | None = None
         self._stamp_s, self._epochs_s = 0.0, list[float]()
         self._cancelling = False
 
@@ -195,7 +196,6 @@ class TrainPresenter:
         """Show what came of the chosen trainings."""
         self._show_rows()
         self._show_chosen()
-        self._show_samples()
         self.show_buttons()
 
     def show_buttons(self) -> None:
@@ -261,6 +261,7 @@ class TrainPresenter:
         page.differences.show_rows(words.difference_rows(chosen))
         page.figures.show_columns(("IoU / points right, %", *letters))
         page.figures.show_rows(words.figure_rows(chosen))
+        self._show_samples()
 
     def _epochs(self, run: TrainingRun) -> int:
         """Return how far the axis reaches: to the last epoch while the training goes on."""
@@ -270,6 +271,10 @@ class TrainPresenter:
 
     def _show_samples(self) -> None:
         chosen, page = self._chosen(), self._page
+        key = tuple((run.uuid, run.card is not None) for run in chosen)
+        if key == self._sampled:
+            return
+        self._sampled = key
         self._shown += 1
         number = self._shown
         if len(chosen) != 1 or chosen[0].card is None:

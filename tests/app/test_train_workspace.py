@@ -1,0 +1,256 @@
+"""A person trains a tiny model in the window, compares, promotes and rolls back."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication, QPushButton
+
+from app.application import TouchdownApp
+from app.error_hooks import ErrorBox
+from backend.dataset.pack_file import EpisodeRow, write_packs
+from backend.dataset.rows import patch_hex
+from backend.learning.registry import Registry
+from backend.learning.training_runs import training_runs
+from backend.objects.catalogue import load_catalogue
+from backend.objects.surface import face_points
+from backend.runs.store import models_folder
+
+KEY, CTRL, SHIFT = Qt.Key, Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
+EPISODES, EPOCHS, HIDDEN = 100, 2, 8
+
+
+@pytest.fixture(scope="module")
+def packs(tmp_path_factory) -> Path:
+    """100 probes whose torque tells which half of the face touches."""
+    pot, folder = load_catalogue().piece("pot"), tmp_path_factory.mktemp("packs")
+    points = face_points(pot.face)
+
+    def rows() -> Iterator[EpisodeRow]:
+        rng = np.random.default_rng(6)
+        for i in range(EPISODES):
+            side = 1.0 if i % 3 else -1.0
+            observation = rng.normal(size=(20, 258)).astype(np.float32)
+            observation[:, 256] += np.float32(8 * side)
+            yield EpisodeRow(observation, {
+                "episode": f"e{i}", "x_um": 0, "y_um": 0, "sigma_um": 0, "source": "commanded",
+                "piece": pot.name, "bottom": ("circle15", "short")[i % 2],
+                "patch": patch_hex(points[:, 0] * side >= 0), "points": len(points),
+                "geometry": pot.sha256, "grip_id": f"g{i // 5}", "mounting_id": f"m{i // 50}",
+                "person": "simulated", "seed": i,
+            })  # fmt: skip
+
+    write_packs(folder, "w", rows(), {"test": "yes"})
+    return folder
+
+
+class Desk:
+    """The window as a person uses it."""
+
+    def __init__(self, main: TouchdownApp, qtbot, data: Path) -> None:
+        self.main, self.workspace, self._qtbot, self.data = (
+            main,
+            main.workspaces["train"],
+            qtbot,
+            data,
+        )
+        self.page = self.workspace.page
+
+    @property
+    def presenter(self):
+        return self.workspace.presenter
+
+    def press(self, key, modifiers=Qt.KeyboardModifier.NoModifier) -> None:
+        QTest.keyClick(self.main.window.windowHandle(), key, modifiers)
+
+    def until(self, there: Callable[[], bool]) -> None:
+        self._qtbot.waitUntil(there, timeout=100_000)
+
+    def settle(self) -> None:
+        self.until(lambda: not self.workspace._commits.busy)
+        QApplication.processEvents()
+
+    def tiny(self, **more: int) -> None:
+        for name, value in {"hidden": HIDDEN, "epochs": EPOCHS, "layers": 1, **more}.items():
+            getattr(self.page.form.numbers, name).setValue(value)
+        self.settle()
+
+    def train(self) -> None:
+        self.press(KEY.Key_Return, CTRL)
+        assert self.presenter.thread is not None
+        self.ended()
+
+    def ended(self) -> None:
+        self.until(lambda: self.presenter.thread is None)
+        self.settle()
+
+
+@pytest.fixture
+def desk(qapp, qtbot, tmp_path, packs) -> Iterator[Desk]:
+    data = tmp_path / "packs"
+    data.mkdir()
+    for file in packs.glob("*.mcap"):
+        (data / file.name).hardlink_to(file)
+    main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
+    with qtbot.waitActive(main.window, timeout=5000):
+        main.window.show()
+        main.window.activateWindow()
+    made = Desk(main, qtbot, data)
+    made.press(KEY.Key_3, CTRL)
+    made.settle()
+    made.workspace.take_folder(data)
+    made.settle()
+    yield made
+    main.close()
+    main.window.deleteLater()
+    main.deleteLater()
+
+
+def test_without_data_the_page_says_how_to_get_some(qapp, qtbot, tmp_path):
+    main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
+    main.go("train")
+    page = main.workspaces["train"].page
+    qtbot.waitUntil(lambda: bool(page.leaks.text()), timeout=20_000)
+    assert "Collect probes (Ctrl+2)" in page.leaks.text()
+    assert not page.form.start.isEnabled()
+    assert main.cards.codes == ()
+    main.close()
+    main.window.deleteLater()
+    main.deleteLater()
+
+
+def test_counts_and_leaks_are_there_before_training(desk):
+    page = desk.page
+    assert page.form.form().piece == "pot"
+    rows = page.split.texts()
+    assert [row[0] for row in rows] == ["circle15", "short", "all"]
+    assert int(rows[2][1]) + int(rows[2][2]) == EPISODES
+    assert "Leakage: 1 mounting is on both sides" in page.leaks.text()
+    before = int(rows[2][2])
+    page.form.numbers.held_out.setValue(40)
+    desk.settle()
+    assert int(page.split.texts()[2][2]) > 2 * before
+
+
+def test_the_form_starts_with_the_paper(desk):
+    form = desk.page.form.form()
+    assert (form.modality, form.layers, form.hidden, form.learning_rate) == ("FT+Tac", 2, 256, 1e-3)
+    desk.tiny()
+    desk.page.form.defaults.click()
+    assert desk.page.form.form() == form
+
+
+@pytest.mark.slow
+def test_train_compare_promote_and_roll_back(desk):
+    page = desk.page
+    desk.tiny()
+    desk.train()
+    assert desk.main.cards.codes == ()
+    page.form.modality.setCurrentIndex(2)
+    desk.settle()
+    desk.train()
+    wrench, both = training_runs(desk.data)
+    assert [r.card.modality for r in (wrench, both)] == ["FT", "FT+Tac"]
+    assert page.runs.chosen() == (wrench.uuid,)
+    assert page.iou.lines[0].points[-1] == (EPOCHS, wrench.value("iou", EPOCHS))
+    assert [line.name for line in page.loss.lines] == ["train", "valid."]
+    assert sum(n for *_, n in wrench.reliability[wrench.best_epoch]) > 0
+    assert page.reliability.lines[0].points
+    assert page.samples.scenes[0].points_mm.shape == (177, 2)
+    figures = {row[0]: row[1] for row in page.figures.texts()}
+    iou = 100 * wrench.card.metrics["validation"]["bottoms"]["short"]["iou"]
+    assert figures["short"].startswith(f"{iou:.1f} / ")
+
+    page.runs.choose([wrench.uuid, both.uuid])
+    desk.settle()
+    assert [row for row in page.differences.texts() if row[0] == "sees"] == [
+        ["sees", "FT", "FT+Tac"]
+    ]
+    assert [line.name for line in page.iou.lines] == ["A", "B"]
+    assert not page.promote.isEnabled()
+
+    registry = Registry(models_folder())
+    for run in (both, wrench):
+        page.runs.choose([run.uuid])
+        desk.settle()
+        QTest.mouseClick(page.promote, Qt.MouseButton.LeftButton)
+        desk.settle()
+        assert registry.in_use("pot").stem == run.card.weights_sha256
+        assert not page.promote.isEnabled()
+    assert f"model {wrench.card.weights_sha256[:8]}" in page.in_use.text()
+    QTest.mouseClick(page.roll_back, Qt.MouseButton.LeftButton)
+    desk.settle()
+    assert registry.in_use("pot").stem == both.card.weights_sha256
+    assert [row[1] for row in page.runs.texts()] == ["finished", "in use"]
+
+
+@pytest.mark.slow
+def test_cancel_is_asked_and_resume_goes_on(desk):
+    page = desk.page
+    desk.tiny(epochs=400)
+    desk.press(KEY.Key_Return, CTRL)
+    desk.until(lambda: len(desk.presenter._epochs_s) >= 2)
+    assert "left" in page.curves_panel.detail.text()
+    assert not page.form.start.isEnabled()
+    desk.press(KEY.Key_Escape)
+    answers = [b for b in desk.main.cards.findChildren(QPushButton) if b.text() == "Keep training"]
+    answers[0].click()
+    assert desk.presenter.thread is not None
+    desk.press(KEY.Key_Escape)
+    next(b for b in desk.main.cards.findChildren(QPushButton)
+         if b.text() == "Cancel it" and b.isVisible()).click()  # fmt: skip
+    desk.ended()
+    (cut,) = training_runs(desk.data)
+    assert (cut.state, cut.can_resume, page.runs.chosen()) == ("cancelled", True, (cut.uuid,))
+    assert page.form.resume.isEnabled()
+    page.form.resume.click()
+    desk.until(lambda: len(desk.presenter._epochs_s) >= 1)
+    live = desk.presenter.runs[desk.presenter.live]
+    assert live.about.params["resumed"] == cut.uuid
+    desk.presenter.cancel()
+    desk.ended()
+    resumed = training_runs(desk.data)[0]
+    done = len(cut.curves["iou"])
+    assert resumed.curves["iou"][:done] == cut.curves["iou"]
+    assert len(resumed.curves["iou"]) > done
+
+
+@pytest.mark.slow
+def test_a_killed_child_gives_a_card_and_the_window_lives(desk):
+    desk.tiny(epochs=400)
+    desk.press(KEY.Key_Return, CTRL)
+    desk.until(lambda: len(desk.presenter._epochs_s) >= 1)
+    desk.presenter.thread._training._child._child.kill()
+    desk.ended()
+    card = desk.main.cards.card("TRAINING-DIED")
+    assert "Resume" in card.text.next_step
+    assert not card.text.reset
+    assert desk.page.runs.texts()[0][1] == "failed"
+    assert desk.page.form.start.isEnabled()
+    assert desk.page.form.resume.isEnabled()
+    desk.main.pump.tick()
+
+
+@pytest.mark.slow
+def test_closing_the_window_ends_the_training(desk):
+    desk.tiny(epochs=100_000)
+    desk.press(KEY.Key_Return, CTRL)
+    desk.until(lambda: len(desk.presenter._epochs_s) >= 1)
+    desk.main.close()
+    (run,) = training_runs(desk.data)
+    assert (run.state, run.can_resume) == ("cancelled", True)
+
+
+def test_the_form_is_remembered_and_nonsense_is_named(desk):
+    desk.tiny()
+    memory = desk.workspace.memory()
+    assert (memory["hidden"], memory["folders"]) == (HIDDEN, [str(desk.data)])
+    assert desk.workspace.recall(memory) == []
+    assert desk.workspace.memory() == memory
+    assert desk.workspace.recall({**memory, "epochs": "many", "folders": 3}) == [
+        "epochs",
+        "folders",
+    ]

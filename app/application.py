@@ -65,7 +65,7 @@ class TouchdownApp(QObject):
         self.theme = self.look.theme
         self.cards = FaultCards(self.reset)
         self.bar = TopBar(self.theme, self.stop)
-        desk = Desk(self.theme, self.cards, runs, self.say, self.go, self._show_keys)
+        desk = Desk(self.theme, self.cards, runs, self.say, self.go, self._show_keys, self.remember)
         made = [make(desk) for make in WORKSPACES]
         self.workspaces: dict[str, Workspace] = {ws.name: ws for ws in made}
         self.window = MainWindow(self.theme, self.bar, self.cards, made)

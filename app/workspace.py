@@ -37,7 +37,7 @@ class Desk:
     """What the frame lends to its workspaces. ``runs`` is the folder of the recorded runs.
 
     ``say`` shows a sentence in the foot, ``go`` brings a workspace to the front by name, ``keys``
-    shows the key sheet.
+    shows the key sheet, ``remember`` writes the settings now: a crash does not ask first.
     """
 
     theme: Theme
@@ -46,6 +46,7 @@ class Desk:
     say: Callable[[str], None]
     go: Callable[[str], None]
     keys: Callable[[], None]
+    remember: Callable[[], None]
 
 
 class Workspace:

@@ -188,6 +188,7 @@ class LabelWorkspace(Workspace):
             self.sitting.sigma_mm = None
         self.sitting.person = person
         self._show_sitting()
+        self._desk.remember()
 
     def _show_sitting(self) -> None:
         sitting, page = self.sitting, self.label_page
@@ -201,7 +202,7 @@ class LabelWorkspace(Workspace):
     def _intents(self) -> LabelIntents:
         return LabelIntents(
             choose_row=lambda at: self._on(lambda p: p.go_to(at)),
-            choose_queue=lambda name: self._on(lambda p: p.choose_queue(name)),
+            choose_queue=self._choose_queue,
             move=lambda at_mm: self._on(lambda p: p.place(at_mm)),
             drop=lambda: self._on(LabelPresenter.drop),
             seek=lambda t_s: self.label_page.show_cursor(t_s),
@@ -320,6 +321,10 @@ class LabelWorkspace(Workspace):
         self.sitting.blind = not self.sitting.blind
         self.label_page.say("Blind mode is on." if self.sitting.blind else "Blind mode is off.")
         self._on(LabelPresenter.show_edit)
+
+    def _choose_queue(self, name: str) -> None:
+        self._on(lambda p: p.choose_queue(name))
+        self._desk.remember()
 
     def _next_queue(self) -> None:
         self.label_page.queue.setFocus()

@@ -1,0 +1,234 @@
+"""A hundred probes labelled by keys in the real window, killed twice, reviewed, handed on."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections import Counter
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from backend.__main__ import main
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.recovery import examine
+from backend.catalogue.values import Revision
+
+COLLECTED, PACKED = 2, 98
+"""Probes through the devices of the bench, and from its mass simulation."""
+KILLS = ((15, 30), (50, 65))
+"""Between so many labelled episodes in all the window is killed."""
+LATER_S = 0.15
+FORMATS = ("csv", *(("lerobot",) if find_spec("pyarrow") and find_spec("av") else ()))
+Told = dict[str, Any]
+
+
+@dataclass
+class Known:
+    """What the window ever called saved, and where it was when it was killed."""
+
+    saved: list[Told] = field(default_factory=list)
+    ways: set[int] = field(default_factory=set)
+    at: str = ""
+
+    def take(self, told: Told) -> None:
+        if "saved" in told:
+            self.saved.append(told)
+        elif "at" in told:
+            self.at = told["at"]
+            self.ways |= {told["way"]} if "way" in told else set()
+
+    @property
+    def decided(self) -> set[str]:
+        return {told["saved"] for told in self.saved if told["state"] != "draft"}
+
+
+@pytest.fixture
+def folder(isolated_settings, capsys) -> Path:
+    """The dataset that the window opens by itself: of real probes and of simulated ones."""
+    place = isolated_settings / "data" / "dataset"
+    assert main(["collect", "--count", str(COLLECTED), "--probes-per-grip", "2", "--preset",
+                 "quiet", "--person", "setup", "--json"]) == 0  # fmt: skip
+    assert main(["simulate", "--bottoms", "circle15", "--episodes", str(PACKED), "--seed", "3",
+                 "--workers", "1", "--out", str(place / "packs"), "--json"]) == 0  # fmt: skip
+    capsys.readouterr()
+    return place
+
+
+class Window:
+    """The application in a process of its own, used by the parts of a day."""
+
+    def __init__(self, parts: list[str], log: Path) -> None:
+        self._log = log.open("w")
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "tests.journeys.annotator", *parts],
+            stdout=subprocess.PIPE, stderr=self._log, text=True, cwd=Path.cwd(), env=os.environ,
+        )  # fmt: skip
+
+    def until(self, known: Known, enough: int | None) -> list[Told]:
+        """Return what it told until its end, or until ``enough`` are decided and it was killed."""
+        told, dying = [], None
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            if not line.endswith("\n"):
+                break  # torn by the kill: nothing that was acknowledged
+            told.append(json.loads(line))
+            known.take(told[-1])
+            assert "failed" not in told[-1], told[-1]["failed"]
+            if enough is not None and dying is None and len(known.decided) >= enough:
+                dying = threading.Timer(random.uniform(0, LATER_S), self.process.kill)
+                dying.start()
+        if dying is not None:
+            dying.join()
+        return told
+
+    def close(self) -> int:
+        """Return how it ended."""
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+        self.process.kill()
+        self._log.close()
+        return self.process.wait(30)
+
+
+@pytest.fixture
+def window(tmp_path):
+    """Return what starts the application for some parts of the day."""
+    made: list[Window] = []
+
+    def start(*parts: str) -> Window:
+        made.append(Window(list(parts), tmp_path / f"window-{len(made)}.log"))
+        return made[-1]
+
+    yield start
+    for one in made:
+        one.close()
+
+
+def check_nothing_lost(folder: Path, known: Known, room: Path) -> list[str]:
+    """Return what is still to be labelled; fails if anything acknowledged is not there.
+
+    Looks at a copy, so that the next start finds the folder as the crash left it.
+    """
+    shutil.copytree(folder, room)
+    last = {told["saved"]: told for told in known.saved}
+    with Dataset.open(room, person="check") as dataset:
+        assert dataset.labels.frozen == ""
+        assert [e.file_state for e in dataset.episodes()] == ["complete"] * (COLLECTED + PACKED)
+        for told in known.saved:
+            revisions = {r.rev_uuid for r in dataset.labels.history(told["saved"])}
+            assert told["rev"] in revisions
+        for uuid, told in last.items():
+            if uuid != known.at:
+                assert_same(dataset.labels.head(uuid), told)
+        assert list(examine(dataset.store, whole=True)) == []
+        return dataset.queue("unlabelled", "ann")
+
+
+def assert_same(head: Revision, told: Told) -> None:
+    """Fail unless the label that holds is the one that the window called saved."""
+    assert (head.state, head.source, head.person, head.reason) == (
+        told["state"], told["source"], told["person"], told["reason"],
+    )  # fmt: skip
+    assert (head.label.x_um, head.label.y_um) == (told["x_um"], told["y_um"])
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_a_day_of_labelling(folder, window, tmp_path, capsys, monkeypatch, isolated_settings):
+    monkeypatch.setenv("TOUCHDOWN_CONFIG", str(isolated_settings / "config"))
+    known, todo, order = Known(), list[str](), list[str]()
+    for number, (least, most) in enumerate(KILLS):
+        parts = ("arrive", "label") if number == 0 else ("arrive", "take-back", "label")
+        app = window(*parts)
+        begun = app.until(known, random.randint(least, most))[0]
+        assert app.close() == -signal.SIGKILL
+        order = order or begun["begun"]
+        assert begun["first"] == (number == 0)  # later starts know who labels
+        assert begun["begun"] == (todo or order)
+        todo = check_nothing_lost(folder, known, tmp_path / f"look-{number}")
+        assert todo == order[-len(todo) :]  # what was decided is gone from the front, in order
+        assert todo[0] in (known.at, order[order.index(known.at) + 1])
+    app = window("arrive", "take-back", "label", "four-eyes", "review", "correct")
+    told = app.until(known, None)
+    assert app.close() == 0
+    assert told[0]["begun"] == todo
+    assert known.ways == set(range(7))
+    assert len(order) == COLLECTED + PACKED
+    assert known.decided == set(order)
+    assert not [code for code in told[-1]["cards"] if code.startswith("BUG")]
+    refused = next(t for t in told if "refused" in t)
+    assert "ann wrote it: another person has to review it" in refused["refused"]
+    approved = check_reviewed(folder, known, told)
+    check_training(folder, approved, tmp_path, capsys)
+    check_exports(folder, approved, tmp_path, capsys)
+
+
+def check_reviewed(folder: Path, known: Known, told: list[Told]) -> dict[str, Revision]:
+    """Return the labels that were approved, each by another person than its author."""
+    waiting = next(t["waiting"] for t in told if "waiting" in t)
+    corrected = next(t["corrected"] for t in told if "corrected" in t)
+    last = {told["saved"]: told for told in known.saved}
+    with Dataset.open(folder, create=False) as dataset:
+        assert list(examine(dataset.store, whole=True)) == []
+        heads = {e.uuid: dataset.labels.head(e.uuid) for e in dataset.episodes()}
+        for uuid, head in heads.items():
+            assert_same(head, last[uuid])
+        approved = {uuid: head for uuid, head in heads.items() if head.state == "approved"}
+        assert set(approved) == set(waiting)
+        for uuid in approved:
+            states = [(r.state, r.person) for r in dataset.labels.history(uuid)]
+            assert states[-1] == ("approved", "bob")
+            assert states[-2] == ("submitted", "ann")
+            assert (("rejected", "bob") in states) == (uuid in corrected)
+        left = Counter(head.state for head in heads.values())
+        assert left == {"approved": len(waiting), "rejected": COLLECTED + PACKED - len(waiting)}
+        assert corrected
+    return approved
+
+
+def said(words: list[str], capsys) -> Told:
+    """Return what a verb answers."""
+    assert main([*words, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def check_training(folder: Path, approved: dict[str, Revision], room: Path, capsys) -> None:
+    """A model is trained on exactly the approved labels."""
+    answer = said(["train", str(folder), "--epochs", "2", "--batch", "16", "--out",
+                   str(room / "pot.safetensors")], capsys)  # fmt: skip
+    assert (room / "pot.safetensors").stat().st_size > 10_000
+    assert answer["episodes"] == len(approved)
+    manifest = json.loads((folder / "runs" / answer["run"] / "manifest.json").read_text())
+    assert {e["episode"]: e["revision"] for e in manifest["episodes"]} == revisions(approved)
+    assert {e["split"] for e in manifest["episodes"]} == {"train", "held out"}
+
+
+def check_exports(folder: Path, approved: dict[str, Revision], room: Path, capsys) -> None:
+    """Exactly the approved labels are handed on."""
+    for name in FORMATS:
+        out = room / name
+        answer = said(["export", name, "--out", str(out), "--video", "none"], capsys)
+        assert answer["episodes"] == len(approved)
+        manifest = json.loads((out / "manifest.json").read_text())
+        assert {e["uuid"]: e["rev_uuid"] for e in manifest["episodes"]} == revisions(approved)
+        assert {e["state"] for e in manifest["episodes"]} == {"approved"}
+    with (room / "csv" / "episodes.csv").open(encoding="utf-8") as file:
+        rows = {
+            row["uuid"]: (float(row["x_mm"]), float(row["y_mm"])) for row in csv.DictReader(file)
+        }
+    assert rows == {uuid: tuple(head.label.offset_mm) for uuid, head in approved.items()}
+
+
+def revisions(approved: dict[str, Revision]) -> dict[str, str]:
+    return {uuid: head.rev_uuid for uuid, head in approved.items()}

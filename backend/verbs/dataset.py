@@ -6,6 +6,7 @@ import argparse
 import getpass
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
 from rich.table import Table
@@ -22,12 +23,13 @@ JSON_VERSION = 1
 
 def status(args: argparse.Namespace, folder: Path, screen: Screen) -> int:
     """Count the episodes by pair and label state."""
+    from backend.catalogue.campaigns import list_campaigns
     from backend.catalogue.dataset import Dataset
     from backend.catalogue.values import EpisodeFilter
 
     with Dataset.open(folder, create=False, write=False) as dataset:
         entries = dataset.episodes(EpisodeFilter(deleted=None))
-        age = dataset.backups.age
+        age, campaigns = dataset.backups.age, list_campaigns(dataset.database)
     pairs = Counter((e.piece, e.bottom, "deleted" if e.deleted else e.state) for e in entries)
     files = Counter(e.file_state for e in entries)
     states = sorted({state for _, _, state in pairs})
@@ -44,6 +46,8 @@ def status(args: argparse.Namespace, folder: Path, screen: Screen) -> int:
     for state, count in sorted(files.items()):
         if state != "complete":
             screen.say(f"{count} files are {state}.")
+    for one in campaigns:
+        screen.say(f"Campaign {one.uuid}: {one.done} items of {one.piece} over {one.bottom} done.")
     hours = None if age is None else round(age.total_seconds() / 3600, 1)
     screen.say("There is no backup." if hours is None else f"Newest backup: {hours} h old.")
     listed = [
@@ -52,6 +56,7 @@ def status(args: argparse.Namespace, folder: Path, screen: Screen) -> int:
     ]
     answer = {"version": JSON_VERSION, "dataset": str(folder), "episodes": len(entries)}
     screen.result({**answer, "pairs": listed, "files": dict(files), "conflicts": conflicts,
+                   "campaigns": [asdict(one) for one in campaigns],
                    "backup_age_h": hours})  # fmt: skip
     return 0
 

@@ -48,6 +48,8 @@ def test_status_counts_by_pair_and_state(folder: Path, say: Any) -> None:
         {"piece": "pot", "bottom": "circle15", "state": "draft", "episodes": 3}
     ]
     assert answer["backup_age_h"] == 0.0
+    (campaign,) = answer["campaigns"]
+    assert (campaign["uuid"], campaign["episodes"], campaign["done"]) == ("campaign-1", 3, 1)
 
 
 def test_the_usual_dataset_is_that_of_the_data_folder(

@@ -11,9 +11,15 @@ from backend.learning.checkpoint import Checkpoint
 from backend.learning.features import columns
 from backend.learning.metrics import Scores, score
 from backend.learning.model import network
-from backend.learning.training import predict
+from backend.learning.training import in_parts, predict
 
 ALL = "all"
+
+
+def hardware_part(rows: TrainingRows) -> TrainingRows | None:
+    """Return the episodes that a real bench recorded, None if there are none."""
+    real = [i for i, label in enumerate(rows.labels) if label.get("mode") == "lab"]
+    return rows.take(np.array(real)) if real else None
 
 
 def evaluate(
@@ -38,7 +44,9 @@ def evaluate(
             "points",
             "Simulate the episodes again with the present catalogue.",
         )
-    probability = predict(network(checkpoint), rows.observation, columns(card.modality))
+    model, seen = network(checkpoint), columns(card.modality)
+    parts = in_parts(np.arange(len(rows)))
+    probability = np.concatenate([predict(model, rows.inputs(part), seen) for part in parts])
     bottoms = np.array(rows.bottom)
     scores = {
         name: score(probability[bottoms == name], rows.patch[bottoms == name], points_mm, delta)

@@ -8,10 +8,11 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 
 import torch
 
-from backend.catalogue.training_set import is_dataset, load_training_set
+from backend.catalogue.training_set import LabelChoice, is_dataset, load_training_set
 from backend.config.bench_facts import BenchFacts
 from backend.config.method import StabilitySettings
 from backend.core.faults import InputError
@@ -48,7 +49,7 @@ def fit(job: TrainingJob, tell: Tell, cancelled: Callable[[], bool]) -> None:
     began_s = time.monotonic()
     torch.set_num_threads(job.threads)
     torch.use_deterministic_algorithms(True)
-    rows = _rows(job)
+    rows = load_episodes(job.data, job.piece, job.labels)
     data = fingerprint(rows)
     trainer = Trainer(rows, job.settings)
     state = resume_path(job.out)
@@ -89,10 +90,11 @@ def fit(job: TrainingJob, tell: Tell, cancelled: Callable[[], bool]) -> None:
     )
 
 
-def _rows(job: TrainingJob) -> TrainingRows:
-    if is_dataset(job.data):
-        return load_training_set(job.data, job.piece, job.labels)
-    return load_rows(job.data, job.piece)
+def load_episodes(data: Path, piece: str | None, labels: LabelChoice) -> TrainingRows:
+    """Return the labelled episodes of a dataset, or of a folder of packs."""
+    if is_dataset(data):
+        return load_training_set(data, piece, labels)
+    return load_rows(data, piece)
 
 
 def _loaded(rows: TrainingRows, trainer: Trainer) -> Loaded:

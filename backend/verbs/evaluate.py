@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 
 from backend.config.method import StabilitySettings
+from backend.runs.store import models_folder
 from backend.verbs.screen import Screen
 
 if TYPE_CHECKING:
@@ -23,7 +24,15 @@ JSON_VERSION = 1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("model", type=Path, help="model file (.safetensors)")
-    parser.add_argument("data", type=Path, help="folder that 'touchdown simulate --out' wrote")
+    parser.add_argument(
+        "data", type=Path, help="a dataset, or the folder that 'touchdown simulate --out' wrote"
+    )
+    parser.add_argument(
+        "--labels",
+        choices=("approved", "submitted", "drafts"),
+        default="approved",
+        help="which labels of a dataset count (default: %(default)s)",
+    )
     parser.add_argument(
         "--delta",
         type=float,
@@ -38,19 +47,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, screen: Screen) -> int:
     """Evaluate and show the scores per bottom; returns 0."""
     # Imported here so that `touchdown --help` starts without torch.
-    from backend.dataset.rows import load_rows
     from backend.learning.checkpoint import load_checkpoint
-    from backend.learning.evaluation import evaluate
+    from backend.learning.evaluation import evaluate, hardware_part
+    from backend.learning.fitting import load_episodes
+    from backend.learning.registry import Registry
     from backend.objects.catalogue import load_catalogue
     from backend.objects.surface import face_points
 
     checkpoint = load_checkpoint(args.model)
     card = checkpoint.card
-    rows = load_rows(args.data, card.piece)
+    rows = load_episodes(args.data, card.piece, args.labels)
     points = face_points(load_catalogue(args.pieces).piece(card.piece).face)
     scores = evaluate(checkpoint, rows, points, args.delta)
+    real = hardware_part(rows)
+    if real is not None:
+        of_real = evaluate(checkpoint, real, points, args.delta)["all"]
+        registry = Registry(models_folder())
+        registry.note_hardware(card.weights_sha256, len(real), of_real.iou, of_real.point_accuracy)
     trained_on = set(card.data.get("episodes", {}))
-    screen.show(score_table(f"{card.piece}, {card.modality} (simulated)", scores, trained_on))
+    kind = "simulated" if real is None else f"{len(real)} hardware probes"
+    screen.show(score_table(f"{card.piece}, {card.modality} ({kind})", scores, trained_on))
     screen.result(
         {
             "version": JSON_VERSION,
@@ -59,6 +75,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
             "modality": card.modality,
             "delta": args.delta,
             "simulated": card.simulated,
+            "hardware_probes": 0 if real is None else len(real),
             "trained_on": sorted(trained_on),
             "scores": {name: s.as_json() for name, s in scores.items()},
         }

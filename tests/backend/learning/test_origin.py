@@ -1,0 +1,80 @@
+"""Cards tell the bench of their data, and hardware probes count only where they are real."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from backend.__main__ import main
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.training_set import load_training_set
+from backend.catalogue.values import EpisodeContext, Label
+from backend.config.bench_facts import BenchFacts, simulated_facts
+from backend.config.simulation import SimulationSettings
+from backend.core.flow import Episode, EpisodeQuality
+from backend.dataset.splits import split_rows
+from backend.learning.evaluation import hardware_part
+from backend.learning.origin import benches_of, manifest_of, only_simulated
+from backend.learning.registry import Registry
+from backend.objects.catalogue import load_catalogue
+from backend.runs.store import models_folder
+
+HERE = simulated_facts(SimulationSettings())
+LAB = BenchFacts(mode="hardware", sha256="c" * 64, mm_per_px=(0.06, 0.06), ft_frame="flange")
+
+
+def fill(folder: Path, benches: list[tuple[str, BenchFacts]], each: int = 3) -> Path:
+    """Write a dataset with one mounting a bench, its labels waiting for review."""
+    catalogue, rng = load_catalogue(), np.random.default_rng(2)
+    quality = EpisodeQuality(True, (), 0, 0.0, 0, 5.0, 0.01)
+    with Dataset.open(folder, person="setup") as dataset:
+        pair = dataset.geometry.store_pair(catalogue.piece("pot"), catalogue.piece("circle15"))
+        for number, (mode, facts) in enumerate(benches):
+            context = EpisodeContext(
+                "series", "circle15", pair, "setup", f"g{number}", f"m{number}", mode=mode,
+                bench={"facts": facts.model_dump_json()},
+            )  # fmt: skip
+            for _ in range(each):
+                seen = rng.normal(size=(20, 258)).astype(np.float32)
+                episode = Episode("e", "pot", seen, rng.normal(0, 4, 2), 1.0, quality, None)
+                entry = dataset.record(
+                    episode, Label(500, 0, 0, 300), source="commanded", context=context
+                )
+                dataset.labels.accept("setup", entry.uuid)
+    return folder
+
+
+def test_the_benches_of_a_dataset_are_told(tmp_path: Path) -> None:
+    folder = fill(tmp_path / "data", [("stepped", HERE), ("lab", LAB), ("lab", LAB)])
+    rows = load_training_set(folder, labels="submitted")
+    assert set(benches_of(folder, rows)) == {HERE, LAB}
+    assert not only_simulated(rows)
+    real = hardware_part(rows)
+    assert real is not None
+    assert len(real) == 6
+    listed = json.loads(manifest_of(rows, split_rows(rows, 0.3, 0)))["episodes"]
+    assert len({e["file_sha256"] for e in listed}) == len(rows) == 9
+    assert all(e["revision"] for e in listed)
+
+
+def test_an_imported_episode_is_not_taken_for_a_simulation(tmp_path: Path) -> None:
+    folder = fill(tmp_path / "data", [("imported", BenchFacts())])
+    rows = load_training_set(folder, labels="submitted")
+    assert not only_simulated(rows)
+    assert hardware_part(rows) is None
+
+
+def test_evaluation_on_hardware_probes_is_kept(tmp_path: Path, capsys) -> None:
+    from backend.assembly import shipped_model
+    from backend.learning.checkpoint import load_card
+
+    model = shipped_model("pot")
+    sha256, registry = load_card(model).weights_sha256, Registry(models_folder())
+    simulated = fill(tmp_path / "simulated", [("stepped", HERE)])
+    assert main(["evaluate", str(model), str(simulated), "--labels", "submitted", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["hardware_probes"] == 0
+    assert registry.hardware_probes(sha256) == 0
+    mixed = fill(tmp_path / "mixed", [("stepped", HERE), ("lab", LAB)], each=5)
+    assert main(["evaluate", str(model), str(mixed), "--labels", "submitted", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["hardware_probes"] == 5
+    assert registry.hardware_probes(sha256) == 5

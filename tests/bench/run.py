@@ -27,6 +27,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.stacking",
     "tests.bench.store",
     "tests.bench.labelling",
+    "tests.bench.labelling_slips",
     "tests.bench.collecting",
     "tests.bench.experiments",
     "tests.bench.store_files",

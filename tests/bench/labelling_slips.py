@@ -1,0 +1,101 @@
+"""How many slips in the grasp are badged, and how many clean probes: by the page's own rule."""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+
+from tests.bench.registry import Figure, figure
+
+PROBES, PER_GRIP, EVERY = 126, 3, 3
+"""In every third grip the piece sits 1 to 3 mm off its place along the jaws."""
+
+
+@figure("labelling")
+def slips() -> list[Figure]:
+    """Collect on the simulated devices with injected slips, then judge each recorded label."""
+    from backend.catalogue.dataset import Dataset
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "dataset"
+        with mock.patch("os.fsync"), Dataset.open(folder, person="bench") as dataset:
+            slipped_at_s = _collect(dataset)
+            judged = _judged(dataset, slipped_at_s)
+    hits = [badged for slipped, badged in judged if slipped]
+    false = [badged for slipped, badged in judged if not slipped]
+    return [
+        _row("slips of 1 to 3 mm that are badged", hits, ">= 95", low=95.0, high=100.0),
+        _row("clean probes that are badged", false, "<= 5", low=0.0, high=5.0),
+    ]
+
+
+def _row(name: str, badged: list[bool], target: str, *, low: float, high: float) -> Figure:
+    if not badged:
+        return Figure(name, None, "%", target, None, "no such probe was collected")
+    share = 100 * sum(badged) / len(badged)
+    note = f"{sum(badged)} of {len(badged)} probes"
+    return Figure(name, share, "%", target, low <= share <= high, note)
+
+
+def _collect(dataset: Any) -> dict[float, bool]:
+    """Return for each picture, by its time, whether the piece had slipped."""
+    from backend.assembly import simulated_session
+    from backend.devices.sim.bench import SimulatedBench
+    from backend.runs.requests import CollectRequest
+    from backend.session import Keep
+    from backend.simulation import holding
+
+    rng, grips, slipped = np.random.default_rng(5), [0], {}
+    draw, picture = holding.draw_gripping, SimulatedBench.scene_picture
+
+    def drawn(*given: Any) -> Any:
+        grip = draw(*given)
+        grips[0] += 1
+        if grips[0] % EVERY:
+            return grip
+        x_mm, z_mm = grip.grasp_offset_mm
+        x_mm += float(rng.choice([-1, 1]) * rng.uniform(1, 3))
+        return dataclasses.replace(grip, grasp_offset_mm=(x_mm, z_mm))
+
+    def seen(bench: SimulatedBench) -> Any:
+        at_s = round(bench.clock.now_s(), 6)
+        if at_s and at_s in slipped:
+            raise RuntimeError("two pictures at one time: nobody could tell which slipped")
+        slipped[at_s] = grips[0] % EVERY == 0
+        return picture(bench)
+
+    with (
+        mock.patch.object(holding, "draw_gripping", drawn),
+        mock.patch.object(SimulatedBench, "scene_picture", seen),
+    ):
+        session = simulated_session(keep=Keep(None))
+        session.dataset = dataset
+        session.run(CollectRequest(count=PROBES, person="bench", probes_per_grip=PER_GRIP))
+        session.close()
+    return slipped
+
+
+def _judged(dataset: Any, slipped: dict[float, bool]) -> list[tuple[bool, bool]]:
+    """Return (slipped, badged) of each probe that was no refused observation."""
+    from app.label.edit import Edit
+    from app.label.evidence import badges_of
+    from app.label.item import reader
+    from app.label.opening import model_of
+    from app.label.prelabel import Prelabeller
+    from backend.objects.catalogue import load_catalogue
+
+    read = reader(dataset, Prelabeller(load_catalogue(), model_of), lambda: None)
+    judged = []
+    for entry in dataset.episodes():
+        if entry.quality.accepted:
+            item = read(entry.uuid)
+            assert item.episode.recording is not None
+            at_s = round(item.episode.recording.scene[0].t_s, 6)
+            badge = badges_of(Edit.of(dataset.labels.head(entry.uuid)), item)
+            judged.append((slipped[at_s], bool(badge)))
+    return judged

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
@@ -31,26 +32,45 @@ KILLS = ((15, 30), (50, 65))
 LATER_S = 0.15
 FORMATS = ("csv", *(("lerobot",) if find_spec("pyarrow") and find_spec("av") else ()))
 Told = dict[str, Any]
+TILT, BY_MODEL = 3, 5
+WHERE: dict[int, Callable[[int, int], tuple[int | None, int | None]]] = {
+    0: lambda x, y: (x, y),
+    1: lambda x, y: (x + 100, y),
+    2: lambda x, y: (1500, -2250),
+    3: lambda x, y: (x, y),
+    4: lambda x, y: (x, y),
+    5: lambda x, y: (None, None),  # wherever the model puts it
+    6: lambda x, y: (x, y + 10 - 1000),
+}
+"""Displacement in µm that each way of ``annotator.decide`` makes of the one before."""
 
 
 @dataclass
 class Known:
-    """What the window ever called saved, and where it was when it was killed."""
+    """What the window ever called saved, by which keys, and where it was killed."""
 
     saved: list[Told] = field(default_factory=list)
-    ways: set[int] = field(default_factory=set)
+    ways: dict[str, int] = field(default_factory=dict)
     at: str = ""
+    interrupted: set[str] = field(default_factory=set)
 
     def take(self, told: Told) -> None:
         if "saved" in told:
             self.saved.append(told)
-        elif "at" in told:
+        elif "way" in told:
             self.at = told["at"]
-            self.ways |= {told["way"]} if "way" in told else set()
+            self.ways[self.at] = told["way"]
 
     @property
     def decided(self) -> set[str]:
         return {told["saved"] for told in self.saved if told["state"] != "draft"}
+
+
+@pytest.fixture
+def first(folder) -> dict[str, Revision]:
+    """The labels with which the day begins."""
+    with Dataset.open(folder, create=False) as dataset:
+        return {e.uuid: dataset.labels.head(e.uuid) for e in dataset.episodes()}
 
 
 @pytest.fixture
@@ -145,7 +165,9 @@ def assert_same(head: Revision, told: Told) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_a_day_of_labelling(folder, window, tmp_path, capsys, monkeypatch, isolated_settings):
+def test_a_day_of_labelling(
+    folder, first, window, tmp_path, capsys, monkeypatch, isolated_settings
+):
     monkeypatch.setenv("TOUCHDOWN_CONFIG", str(isolated_settings / "config"))
     known, todo, order = Known(), list[str](), list[str]()
     for number, (least, most) in enumerate(KILLS):
@@ -158,18 +180,21 @@ def test_a_day_of_labelling(folder, window, tmp_path, capsys, monkeypatch, isola
         assert begun["begun"] == (todo or order)
         todo = check_nothing_lost(folder, known, tmp_path / f"look-{number}")
         assert todo == order[-len(todo) :]  # what was decided is gone from the front, in order
+        known.interrupted.add(known.at)
         assert todo[0] in (known.at, order[order.index(known.at) + 1])
     app = window("arrive", "take-back", "label", "four-eyes", "review", "correct")
     told = app.until(known, None)
     assert app.close() == 0
     assert told[0]["begun"] == todo
-    assert known.ways == set(range(7))
+    assert set(known.ways.values()) == set(range(7))
+    assert set(known.ways) == set(order) == set(first)
     assert len(order) == COLLECTED + PACKED
     assert known.decided == set(order)
     assert not [code for code in told[-1]["cards"] if code.startswith("BUG")]
     refused = next(t for t in told if "refused" in t)
     assert "ann wrote it: another person has to review it" in refused["refused"]
     approved = check_reviewed(folder, known, told)
+    check_keys(known, first, told)
     check_training(folder, approved, tmp_path, capsys)
     check_exports(folder, approved, tmp_path, capsys)
 
@@ -195,6 +220,27 @@ def check_reviewed(folder: Path, known: Known, told: list[Told]) -> dict[str, Re
         assert left == {"approved": len(waiting), "rejected": COLLECTED + PACKED - len(waiting)}
         assert corrected
     return approved
+
+
+def check_keys(known: Known, first: dict[str, Revision], told: list[Told]) -> None:
+    """The labels are those that the keys mean, counted here from the labels of the beginning."""
+    corrected = next(t["corrected"] for t in told if "corrected" in t)
+    last = {told["saved"]: told for told in known.saved}
+    for uuid, way in known.ways.items():
+        if uuid in known.interrupted:
+            continue  # a nudge before the crash, and another after it
+        was, now = first[uuid], last[uuid]
+        assert was.state == "draft"
+        assert (now["state"], now["reason"]) == (
+            ("rejected", "tilt") if way == TILT else ("approved", None)
+        )
+        x_um, y_um = WHERE[way](was.label.x_um, was.label.y_um)
+        if uuid in corrected:
+            x_um = None if x_um is None else x_um - 1000
+        assert (now["x_um"], now["y_um"]) == (x_um or now["x_um"], y_um or now["y_um"])
+        moved = way in (1, 2, 6) or uuid in corrected
+        source = "human" if moved else "model" if way == BY_MODEL else was.source
+        assert now["source"].partition(":")[0] == source
 
 
 def said(words: list[str], capsys) -> Told:

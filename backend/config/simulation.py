@@ -50,6 +50,17 @@ class FaceSettings(Settings):
     lattice_mm: Positive = 1.0
 
 
+class SupportSettings(Settings):
+    """Bottoms that are not fixed to the table, pressed or dragged by the piece."""
+
+    rocks: bool = False
+    """A bottom tips about the edge of what it stands on when the press leaves it."""
+    slides: bool = False
+    """A bottom slides when the lateral force exceeds friction; it stays where it slid to."""
+    mu: Positive = 0.40
+    """Friction of bottoms on the table and on each other [U]."""
+
+
 class TactileSettings(Settings):
     """The two finger cameras."""
 
@@ -132,6 +143,7 @@ class SimulationSettings(Settings):
     """Shift of the centre of mass by opening fingers (sd); 0.5 is called realistic."""
     grasp: GraspSettings = GraspSettings()
     face: FaceSettings = FaceSettings()
+    support: SupportSettings = SupportSettings()
     tactile: TactileSettings = TactileSettings()
     wrist: WristSettings = WristSettings()
     spread: SpreadSettings = SpreadSettings()

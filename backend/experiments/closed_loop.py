@@ -8,7 +8,7 @@ does not happen here; episodes are accepted by the same limits on press force an
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ Predict = Callable[[NDArray[np.float32]], FloatArray]
 """Contact probabilities (k, N) of observations (k, 20, 258)."""
 TRIES = 2
 """A press that is no observation is repeated once, as on the bench."""
+TOPPLED = "The press tipped the bottom over its edge."
 XY = tuple[float, float]
 
 
@@ -125,7 +126,9 @@ def pick_and_place_in_lockstep(
         at = (float(commands[k, 0]), float(commands[k, 1]))
         trial = _Trial(k, scene, at, Belief.unknown(settings.belief, at))
         trial.true_mm = _pair(felt.true_mm[k])
-        if felt.valid[k] and felt.press_n[k] >= limits.contact_n:
+        if felt.toppled[k]:
+            trial.close(Outcome.KNOCKED_OVER, TOPPLED)
+        elif felt.valid[k] and felt.press_n[k] >= limits.contact_n:
             _release(trial, bench)
         else:
             trial.close(Outcome.ABORTED, "The press ended without a contact.")
@@ -139,6 +142,9 @@ def _observed(active: list[_Trial], felt: Presses, limits: EpisodeLimits) -> lis
     kept = []
     for k, trial in enumerate(active):
         trial.true_mm = _pair(felt.true_mm[k])
+        if felt.toppled[k]:
+            trial.close(Outcome.KNOCKED_OVER, TOPPLED)
+            continue
         reasons = []
         if not felt.valid[k]:
             reasons.append("no contact was found")
@@ -179,7 +185,8 @@ def _release(trial: _Trial, bench: Lockstep) -> None:
     assert trial.true_mm is not None
     kick = release_kick_mm(trial.scene, 1)
     yaw = bench.grippings[trial.number].yaw_rad
-    verdict = judge(stacked(trial.scene, trial.true_mm, yaw), kick)
+    scene = replace(trial.scene, bottoms=bench.bottoms[trial.number])
+    verdict = judge(stacked(scene, trial.true_mm, yaw), kick)
     outcome = Outcome.PLACED if verdict.stands else Outcome.FELL
     trial.close(outcome, f"Margin {verdict.margin_mm:+.2f} mm.", verdict)
 

@@ -38,6 +38,7 @@ from backend.learning.metrics import LEVEL, stable_flags
 from backend.learning.training import Trainer, fingerprint, one_thread
 from backend.objects.catalogue import load_catalogue
 from backend.objects.surface import face_points
+from backend.objects.tower import Tower
 from backend.runs.requests import StackRequest
 from backend.sensing.episode import EpisodeLimits
 from backend.session import Keep
@@ -73,6 +74,7 @@ def simulate(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
         probes_per_grip=p["probes_per_grip"],
         grips_per_mounting=p["grips_per_mounting"],
         settings=settings,
+        bottoms=Tower((bottom.body(),)),
     )
     rejected, slipped, contact = 0, 0, 0.0
     for job in jobs_of(plan, {"geometry": piece.sha256}, place.folder):

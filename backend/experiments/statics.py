@@ -64,6 +64,7 @@ def probe_groups(case: Case, seeds: list[int], probes: int) -> Groups:
             good = (
                 felt.valid & (felt.press_n >= limits.contact_n) & (felt.slip_mm <= limits.slip_mm)
             )
+            good &= ~felt.toppled
             rows = np.array(waiting)[good]
             offset[rows, probe], true[rows, probe] = wanted[good], felt.true_mm[good]
             seen[rows, probe], slip[rows, probe] = felt.observation[good], felt.slip_mm[good]

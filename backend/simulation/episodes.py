@@ -20,12 +20,14 @@ from backend.core.flow import CHANNELS, TACTILE_CHANNELS, FloatArray
 from backend.core.inference import fill_field
 from backend.core.onset import OnsetRule
 from backend.objects.shapes import Outline
+from backend.objects.tower import Tower
 from backend.simulation import camera, nuisance
 from backend.simulation.conditions import Conditions, true_offset_mm
 from backend.simulation.gel import Gel, build_gel
 from backend.simulation.mechanics import RESIDUAL_LIMIT, Carried, begin
 from backend.simulation.nuisance import Scope
 from backend.simulation.pressing import Pressed, noise_samples, press
+from backend.simulation.support import join_stands, stand_of
 from backend.simulation.wrench import wrist_wrench
 
 ATTEMPTS = 20
@@ -41,6 +43,8 @@ class Plan:
     """What to simulate for one pair of piece and bottom.
 
     ``face_points_mm`` (N, 2): lattice of the face; ``width_mm``: held between the pads.
+    ``bottoms``: what the touched outline belongs to, where it can rock and slide; None: rigid.
+    Every probe finds it where it stood: an operator puts it back.
     """
 
     piece: str
@@ -56,6 +60,7 @@ class Plan:
     grips_per_mounting: int = 10
     settings: SimulationSettings = field(default_factory=SimulationSettings)
     probe: ProbeSettings = field(default_factory=ProbeSettings)
+    bottoms: Tower | None = None
 
     @property
     def pair(self) -> int:
@@ -155,6 +160,8 @@ class _Bench:
         self.eye = Eye(gel_of(plan.settings), infer)
         self.rule = rule_of(plan.settings, plan.probe)
         self.cycle_s = 1e-6 * plan.settings.cycle_us
+        tower = plan.bottoms
+        self.stand = None if tower is None else stand_of(tower, plan.settings.support)
 
     def gripping(self, grip: int) -> tuple[nuisance.Mounting, nuisance.Gripping]:
         """Draw mounting and gripping number ``grip``."""
@@ -233,7 +240,7 @@ class _Bench:
             conditions,
             carried,
             plan.settings.face.lattice_mm,
-        )
+        ).on(None if self.stand is None else join_stands([self.stand] * len(drawn)))
         pressed = press(
             state,
             np.array([d.noise.phase_s for d in drawn]),

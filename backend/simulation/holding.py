@@ -14,6 +14,7 @@ import numpy as np
 from backend.config.method import ProbeSettings
 from backend.core.flow import FloatArray
 from backend.objects.surface import face_points
+from backend.objects.tower import Tower
 from backend.simulation import mechanics
 from backend.simulation.conditions import Conditions, true_offset_mm
 from backend.simulation.nuisance import (
@@ -26,6 +27,7 @@ from backend.simulation.nuisance import (
     generator,
 )
 from backend.simulation.scene import Scene
+from backend.simulation.support import slid, stand_of
 from backend.simulation.timeline import VALUES, packed
 from backend.simulation.wrench import held_piece
 
@@ -36,9 +38,15 @@ NEAR_MM = 1.0
 class Holding:
     """One gripping of the piece. Positions are commands of ``G`` (3,), mm in ``O``."""
 
-    def __init__(self, scene: Scene, grip: int, force_n: float) -> None:
-        """``grip``: number of this gripping; ``force_n``: what was asked of each finger."""
+    def __init__(
+        self, scene: Scene, grip: int, force_n: float, bottoms: Tower | None = None
+    ) -> None:
+        """``grip``: number of this gripping; ``force_n``: what was asked of each finger.
+
+        ``bottoms``: those of the scene, where they have slid to by now.
+        """
         self._scene, self._grip = scene, grip
+        self._bottoms = bottoms or scene.bottoms
         self.mounting = mounting_of(scene)
         rng = generator(scene.seed, Scope.GRIPPING, scene.mounting, grip)
         self.gripping = draw_gripping(scene.settings, force_n, rng)
@@ -103,6 +111,18 @@ class Holding:
         return 0.0 if self._state is None else float(self._state.residual[0])
 
     @property
+    def bottoms(self) -> Tower:
+        """The tower below where it is by now: free bottoms stay where they slid to."""
+        if self._state is None or not self._state.pose.slide_mm.any():
+            return self._bottoms
+        return slid(self._bottoms, self._state.pose.slide_mm[0])
+
+    @property
+    def toppled(self) -> bool:
+        """Whether the press has tipped the bottoms so far that they will not come back."""
+        return self._state is not None and bool(self._state.toppled[0])
+
+    @property
     def slip_mm(self) -> float:
         """Largest slip of a pad in this gripping."""
         if self._state is None:
@@ -118,7 +138,9 @@ class Holding:
     def offset_mm(self, command_mm: FloatArray) -> tuple[float, float]:
         """Return the true displacement of the face in ``O`` for a command."""
         true = true_offset_mm(command_mm[None, :2], self.conditions)[0]
-        return float(true[0] + self._slip_x_mm()), float(true[1])
+        now, first = self.bottoms.bodies[-1].at_mm, self._scene.bottoms.bodies[-1].at_mm
+        x, y = now[0] - first[0], now[1] - first[1]
+        return float(true[0] + self._slip_x_mm() - x), float(true[1] - y)
 
     def gap_mm(self, command_mm: FloatArray) -> float:
         """Return how high the face is over first touch, 0 while pressing."""
@@ -139,6 +161,7 @@ class Holding:
         self._base_mm = here.copy()
         self._fresh = False
         offset = np.array([self.offset_mm(command_mm)])
+        self._bottoms = self.bottoms
         return mechanics.begin(
             self._points_mm,
             self._scene.surface,
@@ -146,7 +169,7 @@ class Holding:
             self.conditions,
             previous=state,
             pitch_mm=self._scene.settings.face.lattice_mm,
-        )
+        ).on(stand_of(self._bottoms, self._scene.settings.support))
 
     def _draw(self, probe: ProbeSettings) -> Conditions:
         scene = self._scene

@@ -24,6 +24,7 @@ from backend.simulation.mechanics import Carried, begin
 from backend.simulation.nuisance import Scope
 from backend.simulation.pressing import press
 from backend.simulation.scene import Scene
+from backend.simulation.support import Stand, join_stands, slid, stand_of
 from backend.simulation.timeline import VALUES
 
 _MOUNTING = _GRIP = 0
@@ -35,8 +36,9 @@ class Presses:
     """What k presses left behind.
 
     ``observation`` (k, 20, 258) float32; ``true_mm`` (k, 2): displacement of the face afterwards,
-    slip in the hand included; ``valid`` (k,): contact was found and the solver converged;
-    ``press_n`` (k,) at the end; ``slip_mm`` (k,): largest slip of a pad in this press.
+    slip in the hand and sliding of the bottom included; ``valid`` (k,): contact was found and the
+    solver converged; ``press_n`` (k,) at the end; ``slip_mm`` (k,): largest slip of a pad in this
+    press; ``toppled`` (k,): the supports will not come back upright.
     """
 
     observation: NDArray[np.float32]
@@ -44,18 +46,20 @@ class Presses:
     valid: NDArray[np.bool_]
     press_n: FloatArray
     slip_mm: FloatArray
+    toppled: NDArray[np.bool_]
 
 
 class Lockstep:
     """Trials of one piece over one upper outline and one bench; scenes differ in seed and tower.
 
-    Raises ValueError for scenes of different pieces, surfaces or settings.
+    Raises ValueError for scenes of different pieces, surfaces, settings or numbers of free bodies.
     """
 
     def __init__(self, scenes: Sequence[Scene], probe: ProbeSettings | None = None) -> None:
         first = scenes[0]
         if any(
-            (s.piece, s.surface, s.settings) != (first.piece, first.surface, first.settings)
+            (s.piece, s.surface, s.settings, _free(s))
+            != (first.piece, first.surface, first.settings, _free(first))
             for s in scenes
         ):
             raise ValueError("trials in lockstep share piece, surface and settings")
@@ -74,6 +78,10 @@ class Lockstep:
         self._mountings = [mounting_of(scene) for scene in scenes]
         self._carried = Carried.fresh(len(scenes))
         self._number = [0] * len(scenes)
+        self.bottoms = [scene.bottoms for scene in scenes]
+        """The towers below, as far as they have slid by now."""
+        self._slid_mm = np.zeros((len(scenes), 2))
+        self._stands = [stand_of(tower, first.settings.support) for tower in self.bottoms]
 
     def start_commands_mm(self) -> FloatArray:
         """Return (B, 2): commands of the face that put each piece at its scene's start."""
@@ -91,11 +99,11 @@ class Lockstep:
         state = begin(
             self._points_mm,
             self._first.surface,
-            true_offset_mm(commands_mm, conditions, carried.slip),
+            true_offset_mm(commands_mm, conditions, carried.slip) - self._slid_mm[rows],
             conditions,
             carried,
             settings.face.lattice_mm,
-        )
+        ).on(self._stand(rows))
         noise = [draw_noise(settings, self._rule, self._sensor_rng(i)) for i in rows.tolist()]
         pressed = press(
             state,
@@ -109,14 +117,28 @@ class Lockstep:
         valid = usable(pressed, conditions, self._probe)
         after = Carried(pressed.state.slip, pressed.state.relaxed)
         self._carried = self._carried.replaced(rows, after)
+        self._slide(rows, pressed.state.pose.slide_mm)
         last = pressed.timeline.values[:, -1, :VALUES]
         return Presses(
             observation=observe(pressed, conditions, settings, noise, self._eye),
-            true_mm=true_offset_mm(commands_mm, conditions, after.slip),
+            true_mm=true_offset_mm(commands_mm, conditions, after.slip) - self._slid_mm[rows],
             valid=valid,
             press_n=np.asarray(last[:, 2], dtype=np.float64),
             slip_mm=np.asarray(np.hypot(slid[..., 0], slid[..., 1]).max(axis=1)),
+            toppled=pressed.state.toppled,
         )
+
+    def _stand(self, rows: NDArray[np.intp]) -> Stand | None:
+        stands = [stand for i in rows.tolist() if (stand := self._stands[i]) is not None]
+        return join_stands(stands) if stands else None
+
+    def _slide(self, rows: NDArray[np.intp], slide_mm: FloatArray) -> None:
+        """Leave the supports where they have slid to (k, m, 2)."""
+        for i, slide in zip(rows.tolist(), slide_mm, strict=True):
+            if slide.any():
+                self.bottoms[i] = slid(self.bottoms[i], slide)
+                self._slid_mm[i] += slide.sum(axis=0)
+                self._stands[i] = stand_of(self.bottoms[i], self._first.settings.support)
 
     def _conditions(self, rows: NDArray[np.intp]) -> Conditions:
         draws = []
@@ -134,3 +156,7 @@ class Lockstep:
     def _sensor_rng(self, trial: int) -> np.random.Generator:
         seed, number = self.scenes[trial].seed, self._number[trial]
         return nuisance.generator(seed, Scope.PROBE, _MOUNTING, _GRIP, number, _SENSORS)
+
+
+def _free(scene: Scene) -> int:
+    return sum(not body.fixed for body in scene.bottoms.bodies)

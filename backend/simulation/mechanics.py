@@ -16,6 +16,8 @@ from backend.core.flow import FloatArray
 from backend.simulation import contact, grasp
 from backend.simulation.conditions import Conditions
 from backend.simulation.equilibrium import balance
+from backend.simulation.support import Pose, Stand, topples
+from backend.simulation.supported import Held, settle
 
 SLIP_TOLERANCE = 1e-5
 SLIP_PASSES = 200
@@ -59,7 +61,9 @@ class ContactState:
 
     ``q`` (B, 6) mm and rad; ``slip`` (B, 2, 3); ``anchor`` (2, B, n); ``relaxed`` (B, 2, 4);
     ``residual`` (B,): worst of the probe so far. ``depth_mm`` (B,): last command; ``slope`` (B, 6):
-    change of q per mm of it, for the first guess of the next step.
+    change of q per mm of it, for the first guess of the next step. ``stand``: what carries the
+    touched face, None if that is rigid; ``pose`` of it; ``pivot_mm`` (B, 2): ``G`` over ``O``;
+    ``toppled`` (B,): the supports would not come back upright.
     """
 
     cells: contact.Cells
@@ -71,6 +75,16 @@ class ContactState:
     residual: FloatArray
     depth_mm: FloatArray
     slope: FloatArray
+    pivot_mm: FloatArray
+    stand: Stand | None
+    pose: Pose
+    toppled: NDArray[np.bool_]
+
+    def on(self, stand: Stand | None) -> ContactState:
+        """Return the state on supports that can rock and slide, upright by now; None: rigid."""
+        if stand is None:
+            return self
+        return replace(self, stand=stand, pose=Pose.upright(len(self.q), stand.interfaces))
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +122,8 @@ def begin(
     """Start B probes at the true displacements ``offset_mm`` (B, 2) above one bottom ``outline``.
 
     ``face_points_mm`` (N, 2): lattice of ``pitch_mm`` on the face, in ``F``. From ``previous``
-    (same gripping) grip slip and gel state are kept; the slider anchors start afresh.
+    (same gripping) grip slip and gel state are kept; the slider anchors start afresh. The bottom is
+    rigid; see ``ContactState.on``.
     """
     cos, sin = np.cos(conditions.yaw_rad)[:, None], np.sin(conditions.yaw_rad)[:, None]
     s_x = cos * face_points_mm[:, 0] - sin * face_points_mm[:, 1]
@@ -144,6 +159,10 @@ def begin(
         residual=np.zeros(count),
         depth_mm=np.zeros(count),
         slope=np.zeros((count, 6)),
+        pivot_mm=offset_mm + np.stack([conditions.grasp_offset_mm[:, 0], np.zeros(count)], axis=1),
+        stand=None,
+        pose=Pose.upright(count, 0),
+        toppled=np.zeros(count, dtype=np.bool_),
     )
 
 
@@ -159,16 +178,16 @@ def advance(
     spring = grasp.springs(conditions, state.relaxed, dt_s)
     slip = state.slip
     travel = commanded_mm[:, 2] - state.depth_mm
-    q = state.q + travel[:, None] * state.slope
+    q, pose = state.q + travel[:, None] * state.slope, state.pose
     for _ in range(SLIP_PASSES):
         unloaded = spring.hidden.copy()
         unloaded[:, :, :3] += slip
         zero = grasp.elastic_zero(commanded_mm, unloaded, conditions.width_mm)
-        q, now, residual = balance(state.cells, state.anchor, q, zero, spring.matrix_diagonal)
+        q, pose, now, residual = _balanced(state, q, pose, zero, spring.matrix_diagonal)
         d = grasp.pad_motion(q, zero, commanded_mm, spring.give, conditions.width_mm)
         normal_n = grasp.normal_force_n(d, spring, conditions.grip_force_n)
         mapped = grasp.returned_slip(slip, d, spring, normal_n, conditions)
-        change = np.abs(mapped - slip).max(initial=0.0)
+        change = np.abs(mapped - slip)[_worth_it(state, residual)].max(initial=0.0)
         if change < SLIP_TOLERANCE:
             break
         slip = mapped
@@ -186,6 +205,8 @@ def advance(
         residual=np.maximum(state.residual, residual),
         depth_mm=commanded_mm[:, 2],
         slope=np.where(moved, (q - state.q) / np.where(moved, travel[:, None], 1.0), state.slope),
+        pose=pose,
+        toppled=state.toppled | _toppled(state, pose, residual),
     )
     solved = Solved(
         q=q,
@@ -197,6 +218,36 @@ def advance(
         cop_mm=_centre_of_pressure(now.wrench, state.cells.r_z),
     )
     return after, solved
+
+
+def _worth_it(state: ContactState, residual: FloatArray) -> NDArray[np.bool_] | slice:
+    """Return the probes whose slip is waited for: not those whose supports found no balance."""
+    return slice(None) if state.stand is None else residual <= RESIDUAL_LIMIT
+
+
+def _toppled(state: ContactState, pose: Pose, residual: FloatArray) -> NDArray[np.bool_]:
+    if state.stand is None:
+        return np.zeros_like(state.toppled)
+    return topples(state.stand, pose) & (residual <= RESIDUAL_LIMIT)
+
+
+def _balanced(
+    state: ContactState, q: FloatArray, pose: Pose, zero: FloatArray, stiffness: FloatArray
+) -> tuple[FloatArray, Pose, contact.Touch, FloatArray]:
+    if state.stand is None:
+        q, now, residual = balance(state.cells, state.anchor, q, zero, stiffness)
+        return q, pose, now, residual
+    held = Held(
+        state.cells,
+        state.anchor,
+        zero,
+        stiffness,
+        state.stand,
+        state.pivot_mm,
+        state.pose.slide_mm,
+    )
+    settled, now = settle(held, q, pose)
+    return settled.q, settled.pose, now, settled.residual
 
 
 def _centre_of_pressure(wrench: FloatArray, r_z: FloatArray) -> FloatArray:

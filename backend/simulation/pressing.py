@@ -19,6 +19,7 @@ from backend.core.flow import FloatArray
 from backend.core.onset import OnsetRule, back_date, detect, over_baseline
 from backend.simulation.contact import surface_motion
 from backend.simulation.mechanics import ContactState, advance
+from backend.simulation.support import Pose
 from backend.simulation.timeline import Timeline, packed
 
 AIR_MARGIN = 20
@@ -186,6 +187,11 @@ def _state_at(states: list[ContactState], acted: NDArray[np.intp]) -> ContactSta
         residual=own("residual"),
         depth_mm=own("depth_mm"),
         slope=own("slope"),
+        pose=Pose(
+            np.stack([state.pose.rock_rad for state in used])[acted, rows],
+            np.stack([state.pose.slide_mm for state in used])[acted, rows],
+        ),
+        toppled=np.stack([state.toppled for state in used])[acted, rows],
     )
 
 

@@ -68,6 +68,7 @@ class World:
         self._wrist = Wrist(settings.wrist, self.cycle_us, int(seeds[2]))
         self._cameras = _cameras(scene, seeds.tolist())
         self._holding: Holding | None = None
+        self._bottoms = scene.bottoms
         self._grips = 0
         self._rest = np.zeros(VALUES)
         self._values = self._rest
@@ -158,7 +159,7 @@ class World:
         return Truth(
             offset_mm=offset,
             yaw_rad=yaw,
-            margin_mm=scoring.margin_mm(self.scene, offset, yaw),
+            margin_mm=scoring.margin_mm(self._scene_now(), offset, yaw),
             stands=False if self.knocked_over else None,
             fall=None,
             slip_mm=0.0 if self._holding is None else self._holding.slip_mm,
@@ -179,12 +180,19 @@ class World:
             return self._put_down
         return self.scene.start_mm, 0.0
 
+    def _scene_now(self) -> Scene:
+        """Return the scene with its bottoms where they have slid to."""
+        holding = self._holding
+        bottoms = self._bottoms if holding is None else holding.bottoms
+        return self.scene if bottoms is self.scene.bottoms else replace(self.scene, bottoms=bottoms)
+
     def _grasp(self, dt_s: float, command: FloatArray) -> None:
         change = self.jaws.step(dt_s)
         if change.taken:
-            self._holding = Holding(self.scene, self._grips, self.jaws.force_n)
+            self._holding = Holding(self.scene, self._grips, self.jaws.force_n, self._bottoms)
             self._grips += 1
         elif change.let_go and self._holding is not None:
+            self._bottoms = self._holding.bottoms
             self._release(self._holding, command)
 
     def _release(self, holding: Holding, command: FloatArray) -> None:
@@ -193,7 +201,7 @@ class World:
             return
         offset, yaw = holding.offset_mm(command), holding.gripping.yaw_rad
         kick = scoring.release_kick_mm(self.scene, self._grips)
-        margin = scoring.margin_mm(self.scene, offset, yaw, kick)
+        margin = scoring.margin_mm(self._scene_now(), offset, yaw, kick)
         dropped = scoring.drops(holding.gap_mm(command))
         stands = margin > 0.0 and not dropped and not self.knocked_over
         self._put_down = (offset, yaw)
@@ -205,7 +213,9 @@ class World:
     def _with_opinion(self, final: Truth) -> Truth:
         if final.contradicted is None and not final.knocked_over:
             kick = scoring.release_kick_mm(self.scene, self._grips)
-            opinion = scoring.second_opinion(self.scene, final.offset_mm, final.yaw_rad, kick)
+            opinion = scoring.second_opinion(
+                self._scene_now(), final.offset_mm, final.yaw_rad, kick
+            )
             if opinion is not None:
                 fall, contradicted = opinion
                 fall = None if final.stands else fall
@@ -216,7 +226,9 @@ class World:
         holding = self._holding
         if holding is None or self.scene.bottoms.bodies[-1].fixed:
             return
-        if holding.press_n > DRAG_N and holding.dragged_mm(command) > DRAG_MM:
+        if self.scene.settings.support.rocks:
+            self.knocked_over = self.knocked_over or holding.toppled
+        elif holding.press_n > DRAG_N and holding.dragged_mm(command) > DRAG_MM:
             self.knocked_over = True
 
     def _load(self, values: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from backend.experiments.collection import jobs_of
 from backend.objects.catalogue import Piece, load_catalogue
 from backend.objects.shapes import Outline
 from backend.objects.surface import face_points
+from backend.objects.tower import Tower
 from backend.simulation.episodes import Plan
 from backend.verbs.screen import Screen
 from backend.verbs.simulate_work import run_jobs
@@ -93,6 +94,7 @@ def _plans(args: argparse.Namespace) -> list[tuple[Plan, dict[str, object]]]:
             probes_per_grip=args.probes_per_grip,
             grips_per_mounting=args.grips_per_mounting,
             settings=settings,
+            bottoms=Tower((bottom.body(),)),
         )
         plans.append((plan, {"geometry": piece.sha256}))
     return plans

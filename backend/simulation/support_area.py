@@ -1,0 +1,185 @@
+"""Area that an interface can carry on: the overlap of two convex faces, with smooth arcs.
+
+Each face is a polygon grown all round by a radius (a disc is a point that has grown), so that the
+edge of a disc turns evenly: Newton's method would get stuck on the corners of a 128-gon.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.core.flow import FloatArray
+from backend.objects import clipping
+from backend.objects.shapes import Outline
+from backend.objects.tower import Body, Tower, interface
+
+ON_MM = 1e-7
+CORNER_MM = 0.01
+"""So near to the edges of both faces lies a corner of the overlap: it is clipped from polygons."""
+
+
+@dataclass(frozen=True, slots=True)
+class Area:
+    """Overlaps of pairs of faces with leading axes (...): (B, m), or none for a single one.
+
+    ``core_mm`` (..., 2 faces, v, 2) counter-clockwise, padded with copies of a corner; ``grown_mm``
+    (..., 2); ``corner_mm`` (..., c, 2): where the edges cross, padded with infinity.
+    """
+
+    core_mm: FloatArray
+    grown_mm: FloatArray
+    corner_mm: FloatArray
+
+    @classmethod
+    def joined(cls, areas: Sequence[Area]) -> Area:
+        """Return the areas of one tower as (1, m)."""
+        parts = _padded(areas)
+        return cls(*(np.stack([getattr(a, f.name) for a in parts])[None] for f in fields(cls)))
+
+    @classmethod
+    def stacked(cls, areas: Sequence[Area]) -> Area:
+        """Join along the first axis."""
+        parts = _padded(areas)
+        return cls(*(np.concatenate([getattr(a, f.name) for a in parts]) for f in fields(cls)))
+
+    def take(self, index: NDArray[np.intp]) -> Area:
+        """Return the probes ``index``."""
+        return Area(self.core_mm[index], self.grown_mm[index], self.corner_mm[index])
+
+    def nearest(self, points_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the nearest points (..., 2) of the areas, and their slope (..., 2, 2).
+
+        The slope is the identity inside, a projection outside, zero at a corner.
+        """
+        feet, slopes = _onto(self.core_mm, self.grown_mm, points_mm[..., None, :])
+        other, _ = _onto(self.core_mm[..., ::-1, :, :], self.grown_mm[..., ::-1], feet)
+        usable = ((other - feet) ** 2).sum(axis=-1) <= ON_MM**2
+        distance = np.where(usable, ((points_mm[..., None, :] - feet) ** 2).sum(axis=-1), np.inf)
+        corner = ((points_mm[..., None, :] - self.corner_mm) ** 2).sum(axis=-1)
+        every = np.concatenate([feet, self.corner_mm], axis=-2)
+        # Where rounding leaves no candidate at all, the foot on the first face is as good.
+        distance = np.concatenate([np.minimum(distance, 1e30), corner], axis=-1)
+        best = distance.argmin(axis=-1)
+        foot = np.take_along_axis(every, best[..., None, None], axis=-2)[..., 0, :]
+        face = np.minimum(best, 1)[..., None, None, None]
+        slope = np.take_along_axis(slopes, face, axis=-3)[..., 0, :, :]
+        return foot, np.asarray(slope * (best < 2)[..., None, None])
+
+    def foremost(self, direction: FloatArray) -> FloatArray:
+        """Return the points (..., 2) of the areas farthest along ``direction`` (..., 2)."""
+        ahead = (self.core_mm @ direction[..., None, :, None])[..., 0].argmax(axis=-1)
+        corner = np.take_along_axis(self.core_mm, ahead[..., None, None], axis=-2)[..., 0, :]
+        size = np.hypot(direction[..., 0], direction[..., 1])
+        outward = direction / np.where(size > 0.0, size, 1.0)[..., None]
+        tip = corner + self.grown_mm[..., None] * outward[..., None, :]
+        other, _ = _onto(self.core_mm[..., ::-1, :, :], self.grown_mm[..., ::-1], tip)
+        usable = ((other - tip) ** 2).sum(axis=-1) <= ON_MM**2
+        along = np.where(usable, (tip @ direction[..., None])[..., 0], -1e30)
+        exists = np.isfinite(self.corner_mm[..., 0])
+        known = np.where(exists[..., None], self.corner_mm, 0.0)
+        at_corner = np.where(exists, (known @ direction[..., None])[..., 0], -np.inf)
+        best = np.concatenate([along, at_corner], axis=-1).argmax(axis=-1)[..., None, None]
+        every = np.concatenate([tip, known], axis=-2)
+        return np.asarray(np.take_along_axis(every, best, axis=-2)[..., 0, :])
+
+
+def area_of(tower: Tower, k: int, origin_mm: FloatArray) -> Area:
+    """Return the area under body ``k`` of ``tower``, relative to ``origin_mm`` (2,)."""
+    own, below = tower.bodies[k], tower.bodies[k - 1] if k else None
+    faces = [_face(own, own.lower, origin_mm)]
+    corners = np.empty((0, 2))
+    if below is None or below.upper is None:
+        faces = [*faces, *faces]
+    else:
+        faces.append(_face(below, below.upper, origin_mm))
+        ring = clipping.ring(interface(tower, k)) - origin_mm
+        near = [_edge_distance_mm(core, grown, ring) < CORNER_MM for core, grown in faces]
+        corners = ring[near[0] & near[1]]
+        if own.lower.kind == below.upper.kind == "circle":
+            corners = _crossings(faces)
+    widest = max(len(core) for core, _ in faces)
+    cores = np.stack([np.pad(c, ((0, widest - len(c)), (0, 0)), "edge") for c, _ in faces])
+    return Area(cores, np.array([grown for _, grown in faces]), corners)
+
+
+def _face(body: Body, outline: Outline, origin_mm: FloatArray) -> tuple[FloatArray, float]:
+    if outline.kind == "circle":
+        return np.array([body.at_mm]) - origin_mm, outline.radius_mm
+    return outline.placed(body.at_mm, body.yaw_rad) - origin_mm, 0.0
+
+
+def _crossings(faces: Sequence[tuple[FloatArray, float]]) -> FloatArray:
+    """Return the two points (2, 2) where two circles cross, (0, 2) where they do not."""
+    (a, r), (b, s) = ((core[0], grown) for core, grown in faces)
+    apart = float(np.hypot(*(b - a)))
+    if not abs(r - s) < apart < r + s:
+        return np.empty((0, 2))
+    along = (b - a) / apart
+    near = (apart**2 + r**2 - s**2) / (2 * apart)
+    side = np.sqrt(max(r**2 - near**2, 0.0)) * np.array([-along[1], along[0]])
+    return np.asarray(a + near * along + np.array([[1.0], [-1.0]]) * side)
+
+
+def _edge_distance_mm(core_mm: FloatArray, grown_mm: float, points_mm: FloatArray) -> FloatArray:
+    if len(core_mm) == 1:
+        away = points_mm - core_mm[0]
+        return np.asarray(np.abs(np.hypot(away[:, 0], away[:, 1]) - grown_mm))
+    return np.abs(clipping.margins_mm(points_mm, clipping.closed(core_mm)))
+
+
+def _padded(areas: Sequence[Area]) -> list[Area]:
+    """Return the areas with equally many corners each."""
+    most = max(area.core_mm.shape[-2] for area in areas)
+    crossings = max(area.corner_mm.shape[-2] for area in areas)
+    padded = []
+    for area in areas:
+        core, corner = area.core_mm, area.corner_mm
+        copies = np.repeat(core[..., -1:, :], most - core.shape[-2], axis=-2)
+        absent = np.full((*corner.shape[:-2], crossings - corner.shape[-2], 2), np.inf)
+        core = np.concatenate([core, copies], axis=-2)
+        padded.append(Area(core, area.grown_mm, np.concatenate([corner, absent], axis=-2)))
+    return padded
+
+
+def _onto(
+    core_mm: FloatArray, grown_mm: FloatArray, points_mm: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the nearest points of grown polygons to points (..., 2), and the slope."""
+    foot, slope = _onto_core(core_mm, points_mm)
+    away = points_mm - foot
+    distance = np.hypot(away[..., 0], away[..., 1])[..., None]
+    inside = distance <= grown_mm[..., None]
+    safe = np.where(distance > 0.0, distance, 1.0)
+    outward = away / safe
+    turn = np.eye(2) - outward[..., :, None] * outward[..., None, :]
+    share = (grown_mm[..., None] / safe)[..., None]
+    outside = slope + share * turn @ (np.eye(2) - slope)
+    return (
+        np.where(inside, points_mm, foot + grown_mm[..., None] * outward),
+        np.where(inside[..., None], np.eye(2), outside),
+    )
+
+
+def _onto_core(core_mm: FloatArray, points_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    along = np.roll(core_mm, -1, axis=-2) - core_mm
+    length2 = (along**2).sum(axis=-1)
+    exists = length2 > 0.0
+    away = points_mm[..., None, :] - core_mm
+    side = along[..., 0] * away[..., 1] - along[..., 1] * away[..., 0]
+    inside = (side >= 0.0).all(axis=-1) & exists.any(axis=-1)
+    length2 = np.where(exists, length2, 1.0)
+    share = (away * along).sum(axis=-1) / length2
+    gap = away - np.clip(share, 0.0, 1.0)[..., None] * along
+    best = (gap**2).sum(axis=-1).argmin(axis=-1)[..., None]
+    foot = points_mm - np.take_along_axis(gap, best[..., None], axis=-2)[..., 0, :]
+    chosen = np.take_along_axis(along, best[..., None], axis=-2)[..., 0, :]
+    share = np.take_along_axis(share, best, axis=-1)[..., 0]
+    chosen *= ((share > 0.0) & (share < 1.0))[..., None]
+    slope = chosen[..., :, None] * chosen[..., None, :]
+    slope /= np.take_along_axis(length2, best, axis=-1)[..., None]
+    slope = np.where(inside[..., None, None], np.eye(2), slope)
+    return np.where(inside[..., None], points_mm, foot), slope

@@ -1,0 +1,340 @@
+"""Equilibrium of a piece pressed on bottoms that may rock and slide, batched over probes.
+
+Unknowns: the motion q of the piece, and at each interface the rocking a and the sliding s. Both
+obey the same law: the resultant c lies in the support polygon and a is normal to it there; the
+lateral force T lies in the friction disc and s is normal to it there. Each is written as
+``c = nearest point to (c + a)`` and solved together with the piece by Newton's method. Probes whose
+supports stay as they are cost one check.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.core.flow import FloatArray
+from backend.simulation.contact import Cells, Touch, tangent, touch
+from backend.simulation.equilibrium import SCALE, TOLERANCE, balance
+from backend.simulation.support import Pose, Stand, below_mm, drift_mm, unladen
+
+MAX_ITERATIONS = 40
+HALVINGS = 12
+ROCK_MM_RAD = 1000.0
+"""Weight of an angle beside a place in the law of rocking: any positive one gives the same."""
+SLIDE_N_MM = 10.0
+MOMENT_N_MM = 0.4
+"""A resultant off by 1 mm counts as this residual, as 8 N do in the scale of the piece."""
+VISCOUS = 1e-6
+"""Keeps the matrix regular where face and table slide at once; the residual is without it."""
+AXES = np.eye(2)
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """Grasp and place of B probes during one solution.
+
+    ``zero`` q° (B, 6) and ``stiffness`` (B, 6) of the grasp; ``pivot_mm`` (B, 2): the pivot over
+    ``O``; ``slid_mm`` (B, m, 2): sliding at the beginning of the time step.
+    """
+
+    cells: Cells
+    anchor: FloatArray
+    zero: FloatArray
+    stiffness: FloatArray
+    stand: Stand
+    pivot_mm: FloatArray
+    slid_mm: FloatArray
+
+    def take(self, rows: NDArray[np.intp]) -> Held:
+        """Return the probes ``rows``."""
+        return Held(
+            self.cells.take(rows),
+            self.anchor[:, rows],
+            self.zero[rows],
+            self.stiffness[rows],
+            self.stand.take(rows),
+            self.pivot_mm[rows],
+            self.slid_mm[rows],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Settled:
+    """A trial solution: motion ``q`` (B, 6), supports, scaled ``residual`` (B,)."""
+
+    q: FloatArray
+    pose: Pose
+    residual: FloatArray
+
+    def improved(self, rows: NDArray[np.intp], by: Settled) -> Settled:
+        """Return a copy in which the probes ``rows`` are those of ``by`` where that is better."""
+        better = by.residual < self.residual[rows]
+        rows, chosen = rows[better], np.flatnonzero(better)
+        q, residual = self.q.copy(), self.residual.copy()
+        q[rows], residual[rows] = by.q[chosen], by.residual[chosen]
+        return Settled(q, self.pose.replaced(rows, by.pose.take(chosen)), residual)
+
+
+def settle(held: Held, q: FloatArray, pose: Pose) -> tuple[Settled, Touch]:
+    """Return the equilibrium nearest to the guess ``q`` (B, 6), ``pose``, and its cell forces."""
+    ride = carried(held, pose)
+    relative, now, residual = balance(
+        held.cells, held.anchor, q - ride, held.zero - ride, held.stiffness
+    )
+    q = relative + ride
+    law = _Law.at(held, q, pose, now)
+    rows = np.flatnonzero(~(law.size <= TOLERANCE))
+    if not len(rows):
+        return Settled(q, pose, residual), now
+    found = _together(held.take(rows), q[rows], pose.take(rows))
+    lost = np.flatnonzero(~(found.residual <= TOLERANCE))
+    if len(lost):
+        again = _from_upright(held.take(rows[lost]), q[rows[lost]], pose.take(rows[lost]))
+        found = found.improved(lost, again)
+    q, residual = q.copy(), residual.copy()
+    q[rows], residual[rows] = found.q, found.residual
+    pose = pose.replaced(rows, found.pose)
+    now = touch(held.cells, held.anchor, q - carried(held, pose))
+    return Settled(q, pose, residual), now
+
+
+def carried(held: Held, pose: Pose, edge_mm: FloatArray | None = None) -> FloatArray:
+    """Return (B, 6): motion of the touched face as a motion about the pivot, like q.
+
+    ``edge_mm`` (B, m, 2): points that stay down; None: those that the rocking leaves down.
+    """
+    stand = held.stand
+    rocked = pose.rock_rad.sum(axis=1)
+    moved = (stand.height_mm[..., None] * pose.rock_rad + pose.slide_mm).sum(axis=1)
+    edge = stand.area.foremost(pose.rock_rad) if edge_mm is None else edge_mm
+    lift = (edge * pose.rock_rad).sum(axis=(1, 2))
+    ride = np.zeros((len(rocked), 6))
+    ride[:, :2] = moved - held.cells.r_z[:, None] * rocked
+    ride[:, 2] = lift - (rocked * held.pivot_mm).sum(axis=1)
+    ride[:, 3], ride[:, 4] = -rocked[:, 1], rocked[:, 0]
+    return ride
+
+
+@dataclass(frozen=True, slots=True)
+class _Law:
+    """How far the supports are from their laws, and what is needed to linearise that.
+
+    ``load_n`` (B, m); ``centre_mm`` (B, m, 2): where the resultant is; ``corner_mm`` and
+    ``corner_slope``: the nearest point of the polygon; ``rock``, ``slide`` (B, m, 2): residuals in
+    mm and N; ``reach``, ``reach_load``: derivative of the nearest lateral force by force and load.
+    """
+
+    load_n: FloatArray
+    centre_mm: FloatArray
+    corner_mm: FloatArray
+    corner_slope: FloatArray
+    rock: FloatArray
+    slide: FloatArray
+    reach: FloatArray
+    reach_load: FloatArray
+
+    @classmethod
+    def at(cls, held: Held, q: FloatArray, pose: Pose, now: Touch) -> _Law:
+        stand = held.stand
+        load = now.wrench[:, 2:3] + stand.weight_n
+        moment = np.einsum("bmij,bj->bmi", _levers(held), now.wrench)
+        moment += now.wrench[:, None, 2:3] * _face_motion(held.cells, q)[:, None]
+        moment += stand.centre_nmm + unladen(stand, pose)
+        centre = moment / load[..., None]
+        at = centre - drift_mm(stand, pose)
+        corner, slope = stand.area.nearest(at + ROCK_MM_RAD * pose.rock_rad)
+        rock = np.where(stand.rocks[..., None], at - corner, pose.rock_rad * ROCK_MM_RAD)
+        lateral = -now.wrench[:, None, :2]
+        tried = lateral + SLIDE_N_MM * (pose.slide_mm - held.slid_mm)
+        size = np.maximum(np.hypot(tried[..., 0], tried[..., 1]), 1e-12)
+        share = np.minimum(1.0, stand.mu * load / size)[..., None]
+        along = tried / size[..., None]
+        sliding = share < 1.0
+        outward = along[..., :, None] * along[..., None, :]
+        reach = share[..., None] * (AXES - outward * sliding[..., None])
+        return cls(
+            load_n=load,
+            centre_mm=centre,
+            corner_mm=corner,
+            corner_slope=slope,
+            rock=rock,
+            slide=lateral - share * tried,
+            reach=reach,
+            reach_load=np.where(sliding, np.where(sliding, stand.mu[..., None], 0.0) * along, 0.0),
+        )
+
+    @property
+    def size(self) -> FloatArray:
+        """(B,) residual in N."""
+        rock = MOMENT_N_MM * self.rock
+        return np.asarray(np.sqrt((rock**2 + self.slide**2).sum(axis=(1, 2))), dtype=np.float64)
+
+
+def _levers(held: Held) -> FloatArray:
+    """Return (B, m, 2, 6): moments of a unit wrench on the piece, as resultant times load."""
+    up = held.stand.height_mm - held.cells.r_z[:, None]
+    levers = np.zeros((*up.shape, 2, 6))
+    levers[..., 0, 0] = levers[..., 1, 1] = -up
+    levers[..., :, 2] = held.pivot_mm[:, None]
+    levers[..., 0, 4], levers[..., 1, 3] = -1.0, 1.0
+    return levers
+
+
+def _face_motion(cells: Cells, q: FloatArray) -> FloatArray:
+    """Return (B, 2): motion of the middle of the face, which the press moves with."""
+    along = np.stack([q[:, 4], -q[:, 3]], axis=1)
+    return np.asarray(q[:, :2] + cells.r_z[:, None] * along)
+
+
+def _from_upright(held: Held, q: FloatArray, pose: Pose) -> Settled:
+    """Look for the equilibrium from upright supports; one interface after the other gives way."""
+    count, m = pose.rock_rad.shape[:2]
+    upright = Pose(np.zeros_like(pose.rock_rad), held.slid_mm)
+    best = None
+    for free in [*range(m), None] if m > 1 else [None]:
+        rocks = held.stand.rocks.copy()
+        if free is not None:
+            rocks &= np.arange(m) == free
+        trial = replace(held, stand=replace(held.stand, rocks=rocks))
+        start = _fixed(trial, q, upright) if best is None or free is not None else best.q
+        guess = upright if best is None or free is not None else best.pose
+        found = _together(trial, start, guess)
+        checked = _checked(held, found)
+        best = checked if best is None else best.improved(np.arange(count), checked)
+    assert best is not None
+    return best
+
+
+def _fixed(held: Held, q: FloatArray, pose: Pose) -> FloatArray:
+    """Return q (B, 6) of the equilibrium on supports that stay at ``pose``."""
+    ride = carried(held, pose)
+    relative, _, _ = balance(held.cells, held.anchor, q - ride, held.zero - ride, held.stiffness)
+    return relative + ride
+
+
+def _checked(held: Held, found: Settled) -> Settled:
+    """Return ``found`` with the residual of all laws."""
+    edge = held.stand.area.foremost(found.pose.rock_rad)
+    _, _, _, size = _residual(held, found.q, found.pose, edge)
+    return replace(found, residual=size)
+
+
+def _together(held: Held, q: FloatArray, pose: Pose) -> Settled:
+    """Newton with step halving on piece and supports at once.
+
+    During one step the edges stay where the last one found them: the lift of a body about a given
+    edge is smooth through its upright position, that about the edge it happens to lean on is not.
+    """
+    m = held.stand.interfaces
+    now, law, rest, size = _residual(held, q, pose, held.stand.area.foremost(pose.rock_rad))
+    for _ in range(MAX_ITERATIONS):
+        edge = law.corner_mm
+        now, law, rest, size = _residual(held, q, pose, edge)
+        busy = size > TOLERANCE
+        if not busy.any():
+            break
+        matrix = _matrix(held, q, now, law, edge)
+        laws = np.concatenate([law.rock, law.slide], axis=1).reshape(len(q), 4 * m)
+        right = np.concatenate([rest, laws], axis=1)
+        step = np.linalg.solve(matrix, -right[:, :, None])[:, :, 0]
+        step[~busy] = 0.0
+        for _ in range(HALVINGS):
+            tried_q = q + step[:, :6]
+            tried = Pose(
+                pose.rock_rad + step[:, 6 : 6 + 2 * m].reshape(-1, m, 2),
+                pose.slide_mm + step[:, 6 + 2 * m :].reshape(-1, m, 2),
+            )
+            there, new_law, left, new_size = _residual(held, tried_q, tried, edge)
+            worse = busy & ~(new_size < size)
+            if not worse.any():
+                break
+            step[worse] *= 0.5
+        q, pose, now, law, rest, size = tried_q, tried, there, new_law, left, new_size
+    return Settled(q, pose, size)
+
+
+def _residual(
+    held: Held, q: FloatArray, pose: Pose, edge_mm: FloatArray
+) -> tuple[Touch, _Law, FloatArray, FloatArray]:
+    now = touch(held.cells, held.anchor, q - carried(held, pose, edge_mm))
+    law = _Law.at(held, q, pose, now)
+    rest = now.wrench - held.stiffness * (q - held.zero)
+    size = np.sqrt(((rest * SCALE) ** 2).sum(axis=1) + law.size**2)
+    return now, law, rest, size
+
+
+def _matrix(held: Held, q: FloatArray, now: Touch, law: _Law, edge_mm: FloatArray) -> FloatArray:
+    """Return d(residuals)/d(q, rock, slide), (B, 6 + 4m, 6 + 4m)."""
+    stand, count, m = held.stand, len(q), held.stand.interfaces
+    width = 6 + 4 * m
+    rock, slide = slice(6, 6 + 2 * m), slice(6 + 2 * m, width)
+    # Only motion relative to the support changes the wrench on the piece.
+    relative = np.zeros((count, 6, width))
+    relative[:, :, :6] = np.eye(6)
+    relative[:, :, rock] = -_ride_rock(held, edge_mm)
+    relative[:, :2, slide] = -np.tile(AXES, (1, m))
+    wrench = tangent(held.cells, now) @ relative
+    matrix = np.zeros((count, width, width))
+    matrix[:, :6] = wrench
+    matrix[:, range(6), range(6)] -= held.stiffness
+    at = _resultant_slope(held, q, now, law, wrench)
+    away = AXES - law.corner_slope
+    rows = away @ at
+    rows[..., rock] -= ROCK_MM_RAD * _each(law.corner_slope)
+    rigid = np.zeros((count, m, 2, width))
+    rigid[..., rock] = ROCK_MM_RAD * _each(np.broadcast_to(AXES, (count, m, 2, 2)))
+    rows = np.where(stand.rocks[..., None, None], rows, rigid)
+    matrix[:, rock] = rows.reshape(count, 2 * m, width)
+    lateral = -wrench[:, None, :2]
+    rows = (AXES - law.reach) @ lateral
+    rows -= law.reach_load[..., None] * wrench[:, None, 2:3]
+    rows[..., slide] -= SLIDE_N_MM * _each(law.reach + VISCOUS * AXES)
+    matrix[:, slide] = rows.reshape(count, 2 * m, width)
+    return matrix
+
+
+def _resultant_slope(
+    held: Held, q: FloatArray, now: Touch, law: _Law, wrench: FloatArray
+) -> FloatArray:
+    """Return d(``at_mm``)/d(q, rock, slide), (B, m, 2, 6 + 4m); ``wrench``: that of the wrench."""
+    stand, m = held.stand, held.stand.interfaces
+    slope: FloatArray = _levers(held) @ wrench[:, None]
+    spare = _face_motion(held.cells, q)[:, None] - law.centre_mm
+    slope += spare[..., None] * wrench[:, None, 2:3]
+    face = np.zeros((len(q), 2, 6))
+    face[:, :, :2] = AXES
+    face[:, 0, 4], face[:, 1, 3] = held.cells.r_z, -held.cells.r_z
+    slope[..., :6] += (now.wrench[:, 2, None, None] * face)[:, None]
+    slope[..., 6 : 6 + 2 * m] += _spread(stand.rocked_nmm)
+    slope[..., 6 + 2 * m :] += _spread(stand.moved_n)
+    slope /= law.load_n[..., None, None]
+    slope[..., 6 : 6 + 2 * m] -= _spread(below_mm(stand))
+    slope[..., 6 + 2 * m :] -= _spread(np.broadcast_to(np.tri(m), (len(q), m, m)))
+    return slope
+
+
+def _ride_rock(held: Held, edge_mm: FloatArray) -> FloatArray:
+    """Return d(``carried``)/d(rock), (B, 6, 2m)."""
+    m = held.stand.interfaces
+    up = held.stand.height_mm - held.cells.r_z[:, None]
+    slope = np.zeros((len(up), 6, m, 2))
+    slope[:, 0, :, 0] = slope[:, 1, :, 1] = up
+    slope[:, 2] = edge_mm - held.pivot_mm[:, None]
+    slope[:, 3, :, 1], slope[:, 4, :, 0] = -1.0, 1.0
+    return slope.reshape(len(up), 6, 2 * m)
+
+
+def _spread(per_pair: FloatArray) -> FloatArray:
+    """Return (B, m, 2, 2m): the number of each pair of interfaces, for both axes."""
+    m = per_pair.shape[1]
+    both = per_pair[:, :, None, :, None] * AXES[None, None, :, None, :]
+    return np.asarray(both.reshape(-1, m, 2, 2 * m))
+
+
+def _each(blocks: FloatArray) -> FloatArray:
+    """Return (B, m, 2, 2m) with the block (2, 2) of each interface under its own unknowns."""
+    m = blocks.shape[1]
+    wide = np.eye(m)[None, :, None, :, None] * blocks[:, :, :, None, :]
+    return np.asarray(wide.reshape(-1, m, 2, 2 * m))

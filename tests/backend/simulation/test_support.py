@@ -1,0 +1,170 @@
+"""Supports that rock and slide: thresholds in closed form, balance of the tilted supports."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from backend.config.method import ProbeSettings
+from backend.config.simulation import SimulationSettings, SupportSettings
+from backend.objects.catalogue import load_catalogue
+from backend.objects.shapes import circle, rectangle
+from backend.objects.surface import face_points
+from backend.objects.tower import Body, Tower, judge
+from backend.simulation import nuisance
+from backend.simulation.episodes import simulate
+from backend.simulation.mechanics import RESIDUAL_LIMIT, ContactState, Solved, advance, begin
+from backend.simulation.support import Pose, join_stands, slid, stand_of, topples
+from tests.backend.simulation.test_episodes import everything, plan
+
+BOTH = SupportSettings(rocks=True, slides=True)
+OFF = SimulationSettings.model_validate({"preset": "off"})
+FACE = rectangle(6.0, 6.0)
+DEPTH_MM = 1.5
+
+
+def block(width_mm=12.0, height_mm=40.0, mass_g=35.0, **more) -> Body:
+    """A prism whose upper end overhangs its base: the press can be outside of it."""
+    lower, upper = rectangle(width_mm, 40.0), rectangle(40.0, 40.0)
+    return Body("block", lower, upper, height_mm, mass_g, height_mm / 2, **more)
+
+
+def pressed(
+    tower: Tower,
+    offset_mm,
+    support: SupportSettings = BOTH,
+    side_mm=(0.0, 0.0),
+    mu=0.4,
+    steps=15,
+) -> tuple[ContactState, Solved]:
+    """Press a small square face at ``offset_mm``, then move the arm sideways by ``side_mm``."""
+    ground = np.random.default_rng(0)
+    draw = (
+        nuisance.draw_mounting(OFF, ground),
+        nuisance.draw_gripping(OFF, 10.0, ground),
+        nuisance.draw_probe(OFF, ground),
+    )
+    conditions = nuisance.conditions_of(OFF, ProbeSettings(), 30.0, 30.0, [draw])
+    conditions.mu[:] = mu
+    state = begin(
+        face_points(FACE),
+        tower.bodies[-1].upper,
+        np.array([offset_mm]),
+        conditions,
+    ).on(stand_of(tower, support))
+    for k in range(1, 2 * steps + 1):
+        down, across = min(1.0, k / steps), max(0.0, k / steps - 1.0)
+        command = np.array([[across * side_mm[0], across * side_mm[1], -DEPTH_MM * down]])
+        state, solved = advance(state, command, 0.1)
+    assert solved.residual[0] <= RESIDUAL_LIMIT
+    return state, solved
+
+
+@pytest.mark.parametrize("x_mm", [4.0, 5.5, 5.9, 6.3, 7.0, 9.0])
+def test_a_block_tips_when_it_is_pressed_beyond_its_base(x_mm) -> None:
+    tower = Tower((block(),))
+    state, solved = pressed(tower, (x_mm, 0.0))
+    # A press alone, straight down at the middle of the face, with the weight at the middle.
+    fz, weight = solved.pressing_n[0], 0.035 * 9.81
+    resultant = x_mm * fz / (fz + weight)
+    assert (state.pose.rock_rad[0, 0, 0] > 1e-6) == (resultant > 6.0)
+    assert abs(state.pose.rock_rad[0, 0, 1]) < 1e-9
+
+
+@pytest.mark.parametrize("x_mm", [5.0, 5.9, 6.25, 6.8])
+def test_the_rigid_threshold_is_that_of_the_exact_judge(x_mm) -> None:
+    tower = Tower((block(),))
+    _, solved = pressed(tower, (x_mm, 0.0), SupportSettings())
+    load_g = 1e3 * solved.pressing_n[0] / 9.81
+    weight = Body("press", FACE, None, 1.0, load_g, 0.5, at_mm=(x_mm, 0.0))
+    stands = judge(tower.with_top(weight)).margins_mm[0] > 0.0
+    state, _ = pressed(tower, (x_mm, 0.0))
+    assert bool(state.pose.rock_rad.any()) != stands
+
+
+def test_a_tipped_block_is_in_balance_about_its_edge() -> None:
+    tower = Tower((block(height_mm=60.0),))
+    state, solved = pressed(tower, (3.0, 0.0), side_mm=(1.2, 0.0), mu=0.6)
+    (a, _), r_z = state.pose.rock_rad[0, 0], -30.0
+    assert a > 1e-3
+    fx, _, fz, _, my, _ = solved.wrench_g[0]
+    # Moments about the edge at x = 6 of the press on the face (lever 60) and of the weight, both
+    # where they have moved to; the sum is nothing.
+    at = 3.0 + (-(my - r_z * fx) / fz) + solved.q[0, 0] + r_z * solved.q[0, 4]
+    weight = 0.035 * 9.81
+    moment = (at - 6.0) * fz - fx * 60.0 + weight * (30.0 * a - 6.0)
+    assert moment == pytest.approx(0.0, abs=0.01)
+    assert np.hypot(fx, 0.0) < 0.4 * (fz + weight)
+
+
+@pytest.mark.parametrize("mu", [0.1, 0.2])
+def test_a_block_slides_with_the_arm_when_friction_is_spent(mu) -> None:
+    support = SupportSettings(slides=True, mu=mu)
+    tower = Tower((block(width_mm=40.0),))
+    state, solved = pressed(tower, (0.0, 0.0), support, side_mm=(6.0, 0.0), mu=0.6)
+    fx, _, fz = solved.wrench_g[0, :3]
+    assert -fx == pytest.approx(mu * (fz + 0.035 * 9.81), rel=1e-6)
+    assert 0.5 < state.pose.slide_mm[0, 0, 0] < 6.0
+    # With more friction below than at the face it is the face that slides.
+    state, _ = pressed(tower, (0.0, 0.0), BOTH, side_mm=(6.0, 0.0), mu=0.2)
+    assert not state.pose.slide_mm.any()
+
+
+def test_what_rocked_comes_back_and_what_slid_stays() -> None:
+    support = SupportSettings(rocks=True, slides=True, mu=0.1)
+    state, _ = pressed(Tower((block(),)), (6.5, 0.0), support, side_mm=(0.0, 3.0), mu=0.6)
+    assert state.pose.rock_rad.any()
+    slide = state.pose.slide_mm.copy()
+    for height in np.linspace(-1.0, 1.0, 15):
+        state, solved = advance(state, np.array([[0.0, 3.0, height]]), 0.1)
+    assert solved.pressing_n[0] == 0.0
+    assert not state.pose.rock_rad.any()
+    assert slide[0, 0, 1] > 0.1
+    assert np.abs(state.pose.slide_mm - slide).max() < 0.5
+
+
+def test_a_body_topples_once_its_centre_of_mass_is_over_the_edge() -> None:
+    stand = stand_of(Tower((block(),)), BOTH)
+    for angle, falls in ((0.299, False), (0.301, True)):
+        pose = Pose(np.array([[[angle, 0.0]]]), np.zeros((1, 1, 2)))
+        assert topples(stand, pose)[0] == falls  # 6 mm beside the middle, 20 mm high
+
+
+def test_the_weights_of_a_tower_agree_with_the_judge() -> None:
+    rng = np.random.default_rng(3)
+    catalogue = load_catalogue()
+    short, long = catalogue.bottom("short"), catalogue.bottom("long")
+    towers = [Tower((short.body(), long.body(tuple(rng.uniform(-12, 12, 2))))) for _ in range(60)]
+    towers = [t for t in towers if np.isfinite(judge(t).margin_mm) and not judge(t).too_close]
+    stands = join_stands([stand_of(t, BOTH) for t in towers])
+    falls = topples(stands, Pose.upright(len(towers), 2))
+    np.testing.assert_array_equal(falls, [not judge(t).stands for t in towers])
+
+
+def test_fixed_bottoms_and_settings_that_are_off_have_no_stand() -> None:
+    catalogue = load_catalogue()
+    assert stand_of(Tower((catalogue.bottom("circle15").body(),)), BOTH) is None
+    assert stand_of(Tower((catalogue.bottom("short").body(),)), SupportSettings()) is None
+    on_board = Tower((catalogue.bottom("circle25").body(), catalogue.bottom("short").body()))
+    stand = stand_of(on_board, BOTH)
+    assert stand is not None
+    assert stand.interfaces == 1
+
+
+def test_a_slide_moves_all_that_stands_above_it() -> None:
+    catalogue = load_catalogue()
+    tower = Tower((catalogue.bottom("short").body(), catalogue.bottom("long").body((2.0, 0.0))))
+    moved = slid(tower, np.array([[1.0, 0.0], [0.0, 0.5]]))
+    assert [body.at_mm for body in moved.bodies] == [(1.0, 0.0), (3.0, 0.5)]
+
+
+def test_episodes_are_the_same_bytes_where_the_supports_hold_still() -> None:
+    tower = Tower((load_catalogue().bottom("short").body(),))
+    rigid = everything(simulate(plan(bottom="short", episodes=8)))
+    off = everything(simulate(plan(bottom="short", episodes=8, bottoms=tower)))
+    np.testing.assert_array_equal(rigid.observation, off.observation)
+    disc = Body("disc", circle(200.0), circle(20.0), 1.0, 1e6, 0.5)
+    settings = SimulationSettings(support=SupportSettings(rocks=True, slides=True, mu=5.0))
+    heavy = plan(bottom="short", episodes=8, bottoms=Tower((disc,)), settings=settings)
+    still = everything(simulate(heavy))
+    np.testing.assert_allclose(still.observation, rigid.observation, atol=1e-4)

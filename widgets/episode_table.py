@@ -16,7 +16,7 @@ Index = QModelIndex | QPersistentModelIndex
 ROOT = QModelIndex()
 HEADS = ("No.", "Status", "Quality", "x, y (mm)", "Time")
 RIGHT = frozenset((0, 3, 4))
-WIDTHS_EM = (2.4, 5.0, 4.0, 5.8, 4.2)
+WIDTHS_EM = (2.2, 4.6, 4.0, 5.6, 4.1)
 QUALITY = 2
 
 

@@ -118,6 +118,9 @@ class ReviewPage(QWidget):
         self.filter.setPlaceholderText("Filter: pot, fell, 2026-11")
         self.filter.setAccessibleName("Filter of the recordings")
         self.filter.setClearButtonEnabled(True)
+        for button in self.filter.findChildren(QToolButton):
+            button.setAccessibleName("Clear the filter")
+            button.setToolTip("Clear the filter")
         self.refresh.setToolTip("Look for new recordings (Ctrl+R)")
         self.play.setText("Play")
         self.play.setToolTip("Play from the cursor, or pause (Space, while nothing moves)")

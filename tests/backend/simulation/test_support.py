@@ -11,9 +11,12 @@ from backend.objects.catalogue import load_catalogue
 from backend.objects.shapes import circle, rectangle
 from backend.objects.surface import face_points
 from backend.objects.tower import Body, Tower, judge
-from backend.simulation import nuisance
+from backend.simulation import lockstep, nuisance
 from backend.simulation.episodes import simulate
+from backend.simulation.holding import Holding, start_command_mm
 from backend.simulation.mechanics import RESIDUAL_LIMIT, ContactState, Solved, advance, begin
+from backend.simulation.pressing import press
+from backend.simulation.scene import Scene
 from backend.simulation.support import Pose, join_stands, slid, stand_of, topples
 from tests.backend.simulation.test_episodes import everything, plan
 
@@ -168,3 +171,33 @@ def test_episodes_are_the_same_bytes_where_the_supports_hold_still() -> None:
     heavy = plan(bottom="short", episodes=8, bottoms=Tower((disc,)), settings=settings)
     still = everything(simulate(heavy))
     np.testing.assert_allclose(still.observation, rigid.observation, atol=1e-4)
+
+
+def test_devices_and_batch_rock_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = SimulationSettings.model_validate(
+        {"preset": "off", "spread": {"tilt_rad": 0.012}, "support": {"rocks": True, "slides": True}}
+    )
+    catalogue = load_catalogue()
+    tower = Tower((catalogue.bottom("long").body(),))
+    scene = Scene(catalogue.top("pot"), tower, (5.0, -3.0), 4, settings)
+    seen = []
+
+    def watched(*args, **more):
+        seen.append(press(*args, **more))
+        return seen[-1]
+
+    monkeypatch.setattr(lockstep, "press", watched)
+    bench = lockstep.Lockstep([scene])
+    felt = bench.press([0], bench.start_commands_mm())
+    batch = seen[0].state
+    rock = batch.pose.rock_rad[0, 0]
+    assert np.hypot(*rock) > 5e-4
+    holding = Holding(scene, 0, ProbeSettings().grip_force_n)
+    holding.begin_probe(ProbeSettings())
+    command = start_command_mm(scene)
+    for depth in np.linspace(-0.5, -batch.depth_mm[0], 150):
+        command[2] = holding.touch_height_mm - depth
+        values = holding.solve(command, 0.01)
+    assert values[:3] == pytest.approx(seen[0].timeline.values[0, -1, :3], abs=0.02)
+    assert holding._state.pose.rock_rad[0, 0] == pytest.approx(rock, abs=2e-5)
+    assert holding.offset_mm(command) == pytest.approx(felt.true_mm[0], abs=1e-3)

@@ -179,15 +179,19 @@ def advance(
     slip = state.slip
     travel = commanded_mm[:, 2] - state.depth_mm
     q, pose = state.q + travel[:, None] * state.slope, state.pose
+    alive = state.residual <= RESIDUAL_LIMIT
     for _ in range(SLIP_PASSES):
         unloaded = spring.hidden.copy()
         unloaded[:, :, :3] += slip
         zero = grasp.elastic_zero(commanded_mm, unloaded, conditions.width_mm)
-        q, pose, now, residual = _balanced(state, q, pose, zero, spring.matrix_diagonal)
+        guess = _Guess(q, pose, alive)
+        q, pose, now, residual = _balanced(state, guess, zero, spring.matrix_diagonal)
         d = grasp.pad_motion(q, zero, commanded_mm, spring.give, conditions.width_mm)
         normal_n = grasp.normal_force_n(d, spring, conditions.grip_force_n)
         mapped = grasp.returned_slip(slip, d, spring, normal_n, conditions)
-        change = np.abs(mapped - slip)[_worth_it(state, residual)].max(initial=0.0)
+        alive = alive & (residual <= RESIDUAL_LIMIT)
+        awaited = slice(None) if state.stand is None else alive
+        change = np.abs(mapped - slip)[awaited].max(initial=0.0)
         if change < SLIP_TOLERANCE:
             break
         slip = mapped
@@ -220,9 +224,13 @@ def advance(
     return after, solved
 
 
-def _worth_it(state: ContactState, residual: FloatArray) -> NDArray[np.bool_] | slice:
-    """Return the probes whose slip is waited for: not those whose supports found no balance."""
-    return slice(None) if state.stand is None else residual <= RESIDUAL_LIMIT
+@dataclass(frozen=True, slots=True)
+class _Guess:
+    """Where to begin; ``alive`` (B,): probes whose supports have found their balance so far."""
+
+    q: FloatArray
+    pose: Pose
+    alive: NDArray[np.bool_]
 
 
 def _toppled(state: ContactState, pose: Pose, residual: FloatArray) -> NDArray[np.bool_]:
@@ -232,11 +240,11 @@ def _toppled(state: ContactState, pose: Pose, residual: FloatArray) -> NDArray[n
 
 
 def _balanced(
-    state: ContactState, q: FloatArray, pose: Pose, zero: FloatArray, stiffness: FloatArray
+    state: ContactState, guess: _Guess, zero: FloatArray, stiffness: FloatArray
 ) -> tuple[FloatArray, Pose, contact.Touch, FloatArray]:
     if state.stand is None:
-        q, now, residual = balance(state.cells, state.anchor, q, zero, stiffness)
-        return q, pose, now, residual
+        q, now, residual = balance(state.cells, state.anchor, guess.q, zero, stiffness)
+        return q, guess.pose, now, residual
     held = Held(
         state.cells,
         state.anchor,
@@ -246,7 +254,7 @@ def _balanced(
         state.pivot_mm,
         state.pose.slide_mm,
     )
-    settled, now = settle(held, q, pose)
+    settled, now = settle(held, guess.q, guess.pose, guess.alive)
     return settled.q, settled.pose, now, settled.residual
 
 

@@ -77,15 +77,22 @@ class Settled:
         return Settled(q, self.pose.replaced(rows, by.pose.take(chosen)), residual)
 
 
-def settle(held: Held, q: FloatArray, pose: Pose) -> tuple[Settled, Touch]:
-    """Return the equilibrium nearest to the guess ``q`` (B, 6), ``pose``, and its cell forces."""
+def settle(
+    held: Held, q: FloatArray, pose: Pose, alive: NDArray[np.bool_]
+) -> tuple[Settled, Touch]:
+    """Return the equilibrium nearest to the guess ``q`` (B, 6), ``pose``, and its cell forces.
+
+    The supports of probes that are no longer ``alive`` (B,) stay, with a residual of infinity.
+    """
     ride = carried(held, pose)
     relative, now, residual = balance(
         held.cells, held.anchor, q - ride, held.zero - ride, held.stiffness
     )
     q = relative + ride
     law = _Law.at(held, q, pose, now)
-    rows = np.flatnonzero(~(law.size <= TOLERANCE))
+    unsettled = ~(law.size <= TOLERANCE)
+    residual = np.where(unsettled & ~alive, np.inf, residual)
+    rows = np.flatnonzero(unsettled & alive)
     if not len(rows):
         return Settled(q, pose, residual), now
     found = _together(held.take(rows), q[rows], pose.take(rows))

@@ -183,6 +183,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "mu_grip": 0.45,
         "grasp": {"hysteresis": True},
         "face": {"foundation_range_n_mm3": (5.0, 50.0)},
+        "support": {"rocks": True, "slides": True},
         "tactile": {"bias_px": 0.4, "drift_px_sqrt_s": 0.05},
         "wrist": {"offset_n": 0.4, "offset_nm": 0.02},
         "spread": {"grasp_offset_mm": 1.0, "tilt_rad": 0.01, "mu": 0.25},

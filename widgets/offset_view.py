@@ -105,7 +105,7 @@ class OffsetView(QWidget):
         painter = QPainter(self)
         if self.scene is None:
             painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
-            draw_message(painter, self.rect(), self._theme, "No episode", "The queue is empty.")
+            draw_message(painter, self.rect(), self._theme, "No episode", "None is in front.")
             return
         area = self.area()
         painter.drawPixmap(0, 0, self._background(self.scene, area))

@@ -114,11 +114,12 @@ class LabelPresenter:
 
     # -- the queue --------------------------------------------------------------------------------
 
-    def read_queue(self) -> None:
-        """Read the chosen queue anew; the present episode stays in front if it is in it."""
-        s = self.sitting
+    def read_queue(self, *, stay: bool = True) -> None:
+        """Read the chosen queue anew; ``stay``: the present episode stays in front if it can."""
+        s, here = self.sitting, (self.walk.uuid or "") if stay else ""
         self.saving.save(
-            lambda: read_queue(self.dataset, s.queue, s.person, s.seed), self._take_queue
+            lambda: read_queue(self.dataset, s.queue, s.person, s.seed),
+            lambda queue: self._take_queue(queue, here),
         )
 
     def read_with_news(self, text: str) -> None:
@@ -127,12 +128,11 @@ class LabelPresenter:
         self.flushed(self.read_queue)
 
     def choose_queue(self, name: str) -> None:
-        """Change to another queue."""
+        """Change to another queue, and begin with its first."""
         self.sitting.queue = name
-        self.flushed(self.read_queue)
+        self.flushed(lambda: self.read_queue(stay=False))
 
-    def _take_queue(self, queue: Queue) -> None:
-        stay = self.walk.uuid or ""
+    def _take_queue(self, queue: Queue, stay: str) -> None:
         self.walk.begin(*queue, stay)
         self._show_count()
         self._show_present()

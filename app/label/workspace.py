@@ -180,7 +180,7 @@ class LabelWorkspace(Workspace):
     def _switch(self, person: str) -> None:
         self._be(person)
         if self.presenter is not None:
-            self.presenter.read_queue()
+            self.presenter.read_queue(stay=False)
 
     def _be(self, person: str) -> None:
         if person != self.sitting.person:

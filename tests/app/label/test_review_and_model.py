@@ -38,6 +38,22 @@ def test_another_person_reviews(desk):
     assert desk.workspace.presenter.walk.order == [second]
 
 
+def test_another_person_begins_with_the_first_of_the_queue(desk):
+    desk.do(KEY.Key_Return, KEY.Key_Return)
+    desk.enter_as("Bob")
+    show_queue(desk, "review")
+    first, second = desk.workspace.presenter.walk.order
+    desk.do(KEY.Key_PageDown)
+    assert desk.uuid == second
+    desk.do((KEY.Key_R, CTRL))
+    assert desk.uuid == second  # the same queue, read anew
+    desk.enter_as("Cleo")
+    assert desk.uuid == first
+    desk.do(KEY.Key_PageDown)
+    show_queue(desk, "coverage")
+    assert desk.uuid == desk.workspace.presenter.walk.order[0]
+
+
 def test_four_eyes_refuse_the_author_and_say_so(desk):
     uuid = desk.uuid
     desk.do(KEY.Key_Return)

@@ -1,7 +1,5 @@
 """An operator stacks in the window: the real bench, stepped by hand instead of by its thread."""
 
-from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +11,7 @@ import backend.assembly as assembly
 from app.application import TouchdownApp
 from app.error_hooks import ErrorBox
 from backend.core.flow import ContactPatch, Outcome
+from backend.learning.checkpoint import load_card
 from backend.objects.surface import face_points
 from backend.runs.requests import RunState, SceneChoice
 from backend.session import Keep
@@ -28,7 +27,7 @@ class KnowsTheBottom:
 
     def __init__(self, piece):
         self._points = face_points(piece.face)
-        self.card = SimpleNamespace(piece=piece.name, weights_sha256="0" * 64)
+        self.card = load_card(assembly.shipped_model(piece.name))
 
     def prepare(self, early):
         """Nothing to prepare."""
@@ -60,7 +59,6 @@ def desk(qapp, qtbot, tmp_path, monkeypatch):
     monkeypatch.setattr(
         assembly.Estimator, "load", staticmethod(lambda path, piece: KnowsTheBottom(piece))
     )
-    monkeypatch.setattr(assembly, "shipped_model", lambda name: Path(name))
     runs = tmp_path / "runs"
     session = assembly.simulated_session(keep=Keep(runs, episodes=False))
     session.prepare(SceneChoice())

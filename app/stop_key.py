@@ -12,6 +12,8 @@ from PySide6.QtCore import QEvent, QObject, Qt
 from PySide6.QtGui import QKeyEvent, QWindow
 from PySide6.QtWidgets import QAbstractSpinBox, QApplication, QComboBox, QLineEdit, QPlainTextEdit
 
+_PRESSED = frozenset({QEvent.Type.ShortcutOverride, QEvent.Type.KeyPress})
+
 
 class StopKey(QObject):
     """Event filter of the application; ``stop`` must return at once."""
@@ -27,9 +29,11 @@ class StopKey(QObject):
         # Every event of the window passes here: the cheapest test comes first.
         if not isinstance(event, QKeyEvent) or not isinstance(watched, QWindow):
             return False
-        if event.type() is not QEvent.Type.KeyPress or not self._wanted(event.key()):
+        if event.type() not in _PRESSED or not self._wanted(event.key()):
             return False
-        if not event.isAutoRepeat():
+        # Before a press the same key comes as ShortcutOverride: claimed, so that no shortcut takes
+        # it, and no press of its own.
+        if event.type() is QEvent.Type.KeyPress and not event.isAutoRepeat():
             self._stop()
         event.accept()
         return True

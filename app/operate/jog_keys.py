@@ -75,7 +75,9 @@ class JogKeys(QObject):
             return False
         if event.key() not in KEYS or typing():
             return False
-        if not event.isAutoRepeat():
+        # Before a press the same key comes as ShortcutOverride: claimed, so that no shortcut takes
+        # it, and no press of its own.
+        if event.type() is not QEvent.Type.ShortcutOverride and not event.isAutoRepeat():
             self._take(event)
         event.accept()
         return True

@@ -2,6 +2,7 @@
 
 import pytest
 from PySide6.QtCore import Qt, QTimer
+from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import (
     QAbstractSpinBox,
@@ -112,6 +113,15 @@ def test_space_stops_only_while_something_moves(live, bench):
     bench.set_state(RunState.RUNNING)
     press(Qt.Key.Key_Space)
     assert bench.stops == 1
+
+
+@pytest.mark.parametrize("key", [Qt.Key.Key_F12, Qt.Key.Key_Space])
+def test_no_shortcut_takes_a_stop_away(live, bench, key):
+    taken = []
+    QShortcut(QKeySequence(key), live.window).activated.connect(lambda: taken.append(key))
+    bench.set_state(RunState.RUNNING)
+    press(key)
+    assert (bench.stops, taken) == (1, [])
 
 
 def test_space_stops_while_the_arm_moves_without_a_run(live, bench):

@@ -186,6 +186,26 @@ def test_keys_move_only_while_armed(desk):
     assert (place(session) - before)[0] > 3.0
 
 
+@pytest.mark.parametrize(
+    ("key", "axis", "sign"), [(Qt.Key.Key_Left, 0, -1), (Qt.Key.Key_PageUp, 2, 1)]
+)
+def test_a_key_of_the_window_system_moves_as_long_as_it_is_held(desk, key, axis, sign):
+    """A platform sends ShortcutOverride before each press; ``sendEvent`` alone does not."""
+    main, session = desk
+    main.actions.action("operate.arm").trigger()
+    before = place(session)
+    QTest.keyPress(main.window.windowHandle(), key)
+    turn(main, session, 0.3, held=True)
+    assert session.hand.jog.active
+    QTest.keyRelease(main.window.windowHandle(), key)
+    assert not session.hand.jog.active
+    assert sign * (place(session) - before)[axis] > 3.0
+    QTest.keyPress(main.window.windowHandle(), key)
+    assert session.hand.jog.active
+    QTest.keyPress(main.window.windowHandle(), Qt.Key.Key_F12)
+    assert session.interlock.latched
+
+
 def test_a_second_key_stops_both(desk):
     main, session = desk
     main.actions.action("operate.arm").trigger()

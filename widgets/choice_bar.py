@@ -1,4 +1,4 @@
-"""A question answered by one key: shown over the page, never modal, Esc takes it back."""
+"""A question answered by one key: beside the views, never modal, Esc takes it back."""
 
 from __future__ import annotations
 
@@ -10,16 +10,23 @@ from PySide6.QtWidgets import QFrame, QGridLayout, QPushButton, QVBoxLayout, QWi
 
 from widgets.panel import label
 
+COLUMNS = 3
+ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
+
 
 class ChoiceBar(QFrame):
-    """Takes the keyboard until one of its keys, Esc, or the loss of the focus ends it."""
+    """Takes the keyboard until one of its keys, Esc, or the loss of the focus ends it.
+
+    Two kinds: ``ask`` has a key for each answer; ``offer`` has none, so that no letter or digit
+    that was meant for something else is an answer: Tab marks, Enter takes what is marked.
+    """
 
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self.setProperty("role", "question")
         self.setAccessibleName("Question")
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        self._title = label("", "title")
+        self._title = label("", "title", wrap=True)
         self._grid = QGridLayout()
         self._grid.setHorizontalSpacing(8)
         self._grid.setVerticalSpacing(6)
@@ -28,35 +35,40 @@ class ChoiceBar(QFrame):
         column.addWidget(self._title)
         column.addLayout(self._grid)
         self._choices: dict[str, str] = {}
+        self._offered: list[str] = []
+        self._marked = 0
         self._answer: Callable[[str], None] = _nothing
-        self._before: QWidget | None = None
+        self._typed: Callable[[str], None] = _nothing
+        self._page = parent
         self.hide()
 
     def ask(
         self, title: str, choices: Sequence[tuple[str, str]], answer: Callable[[str], None]
     ) -> None:
         """Ask; ``choices`` are (key, word), ``answer`` gets the word that was chosen."""
-        self._before = self.parentWidget()
-        self._choices, self._answer = dict(choices), answer
-        self._title.setText(f"{title}  (Esc: leave)")
-        self.setAccessibleName(title)
-        while self._grid.count():
-            item = self._grid.takeAt(0)
-            widget = item.widget() if item is not None else None
-            if widget is not None:
-                widget.deleteLater()
-        for at, (key, word) in enumerate(choices):
-            button = QPushButton(f"{key}   {word}")
-            button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-            button.clicked.connect(lambda _=False, key=key: self.take(key))
-            self._grid.addWidget(button, at // 3, at % 3)
-        self.adjustSize()
-        parent = self.parentWidget()
-        if parent is not None:
-            self.move((parent.width() - self.width()) // 2, (parent.height() - self.height()) // 3)
-        self.show()
-        self.raise_()
-        self.setFocus()
+        self._choices, self._offered = dict(choices), []
+        self._answer, self._typed = answer, _nothing
+        self._show(f"{title}  (Esc: leave)", title, [f"{key}   {word}" for key, word in choices],
+                   [word for _, word in choices])  # fmt: skip
+
+    def offer(
+        self,
+        title: str,
+        words: Sequence[str],
+        marked: int,
+        answer: Callable[[str], None],
+        typed: Callable[[str], None],
+    ) -> None:
+        """Offer ``words``, one of them marked; ``typed`` gets what begins a number instead."""
+        self._choices, self._offered, self._marked = {}, list(words), marked
+        self._answer, self._typed = answer, typed
+        self._show(f"{title}  (Enter: take, Tab: next, Esc: leave)", title, words, words)
+        self._mark(marked)
+
+    @property
+    def marked(self) -> str:
+        """The word that Enter would take, "" where each answer has its own key."""
+        return self._offered[self._marked] if self._offered else ""
 
     def event(self, event: QEvent) -> bool:
         """Claim every key before the shortcuts of the window do."""
@@ -65,12 +77,22 @@ class ChoiceBar(QFrame):
             return True
         return super().event(event)
 
+    def focusNextPrevChild(self, forward: bool) -> bool:
+        """Let Tab mark the next answer, Shift+Tab the one before."""
+        if self._offered:
+            self._mark((self._marked + (1 if forward else -1)) % len(self._offered))
+        return True
+
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Answer, or leave with Esc."""
         if event.key() == Qt.Key.Key_Escape:
             self.leave()
+        elif event.key() in ENTER and self._offered:
+            # Held down since the last question, Enter has not been meant for this one.
+            if not event.isAutoRepeat():
+                self._take(self.marked)
         else:
-            self.take(event.text().upper())
+            self.take(event.text())
 
     def focusOutEvent(self, event: QFocusEvent) -> None:
         """Whoever turns to something else has answered nothing."""
@@ -81,15 +103,48 @@ class ChoiceBar(QFrame):
     def leave(self) -> None:
         """End without an answer."""
         self.hide()
-        if self._before is not None:
-            self._before.setFocus()
+        self._page.setFocus()
 
-    def take(self, key: str) -> None:
-        """Answer with a key; any other key is no answer."""
-        if key in self._choices:
-            word, answer = self._choices[key], self._answer
+    def take(self, text: str) -> None:
+        """Answer with a key, or hand on what begins a number; anything else is no answer."""
+        word = self._choices.get(text.upper())
+        if word is not None:
+            self._take(word)
+        elif self._offered and text and text in "0123456789.,-+":
             self.leave()
-            answer(word)
+            self._typed(text)
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _take(self, word: str) -> None:
+        answer = self._answer
+        self.leave()
+        answer(word)
+
+    def _mark(self, at: int) -> None:
+        self._marked = at
+        for index in range(self._grid.count()):
+            item = self._grid.itemAt(index)
+            button = item.widget() if item is not None else None
+            if isinstance(button, QPushButton):
+                button.setCheckable(True)
+                button.setChecked(index == at)
+
+    def _show(self, title: str, name: str, texts: Sequence[str], words: Sequence[str]) -> None:
+        self._title.setText(title)
+        self.setAccessibleName(name)
+        while self._grid.count():
+            item = self._grid.takeAt(0)
+            widget = item.widget() if item is not None else None
+            if widget is not None:
+                widget.deleteLater()
+        for at, (text, word) in enumerate(zip(texts, words, strict=True)):
+            button = QPushButton(text)
+            button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+            button.clicked.connect(lambda _=False, word=word: self._take(word))
+            self._grid.addWidget(button, at // COLUMNS, at % COLUMNS)
+        self.show()
+        self.setFocus()
 
 
 def _nothing(_word: str) -> None:

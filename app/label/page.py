@@ -168,6 +168,8 @@ class LabelPage(QWidget):
         column.setSpacing(8)
         column.addWidget(self.banner)
         column.addWidget(self.view_panel, 1)
+        # Below the view, not over it: a question must not cover the face it is about.
+        column.addWidget(self.choice)
         return column
 
     def _right(self) -> QVBoxLayout:
@@ -203,6 +205,11 @@ class LabelPage(QWidget):
     def sheets(self) -> Sheets:
         """Return what curves are drawn on at the present size and theme."""
         return Sheets(self.forces.sheet(), self.moments.sheet(), self.phase.sheet())
+
+    @property
+    def typing(self) -> bool:
+        """Whether a line to type is open."""
+        return self.entry.isVisible() or self.words.isVisible()
 
     def open_entry(self, first: str) -> None:
         """Begin to type a displacement."""

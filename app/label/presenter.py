@@ -21,6 +21,7 @@ from app.label.page import LabelPage
 from app.label.post import Post
 from app.label.prefetch import Prefetch
 from app.label.saving import Intent, Saving
+from app.label.sigma import ask_sigma
 from app.label.walk import Queue, Walk, read_queue
 from app.label.words import clock, history_rows
 from backend.catalogue.dataset import Dataset
@@ -28,10 +29,6 @@ from backend.catalogue.values import Looked, Revision
 from widgets.offset_scene import Point
 
 NUDGES_MS = 500
-SIGMAS = (("1", "0.05 mm"), ("2", "0.10 mm"), ("3", "0.20 mm"), ("4", "0.30 mm"),
-          ("5", "0.50 mm"), ("6", "1.00 mm"))  # fmt: skip
-
-
 EMPTY = {
     "unlabelled": "Nothing to label. Collect episodes first: touchdown collect.",
     "review": "Nothing waits for your review.",
@@ -98,7 +95,7 @@ class LabelPresenter:
         self._nudging = QTimer(page)
         self._nudging.setSingleShot(True)
         self._nudging.setInterval(NUDGES_MS)
-        self._nudging.timeout.connect(lambda: self.do(self._save_edit))
+        self._nudging.timeout.connect(self._nudged)
 
     @property
     def nudging(self) -> bool:
@@ -283,6 +280,13 @@ class LabelPresenter:
         """Move the face by whole µm; nudges within half a second are one revision."""
         self.do(lambda: self._change(lambda edit: edit.nudged(dx_um, dy_um)))
 
+    def _nudged(self) -> None:
+        """Save what was nudged; no question comes between while something is being typed."""
+        if self._page.typing and self.sitting.sigma_mm is None:
+            self._nudging.start()
+        else:
+            self.do(self._save_edit)
+
     def place(self, at_mm: Point) -> None:
         """Move the face to a place (while it is dragged)."""
         self.do(lambda: self._change(lambda edit: edit.placed(*at_mm)))
@@ -361,11 +365,11 @@ class LabelPresenter:
     def ask_sigma(self, then: Intent) -> None:
         """Ask how sure the person is; asked once a sitting, changed by a key."""
 
-        def take(word: str) -> None:
-            self.sitting.sigma_mm = float(word.split()[0])
+        def take(sigma_mm: float) -> None:
+            self.sitting.sigma_mm = sigma_mm
             then()
 
-        self._page.choice.ask("Standard uncertainty of what you set", SIGMAS, take)
+        ask_sigma(self._page, self.sitting.sigma_mm, take)
 
     def reload(self) -> None:
         """Show what the dataset says of the present episode now."""

@@ -110,7 +110,7 @@ class Person:
         """Say how sure I am, if I am asked."""
         yield lambda: self.page.choice.isVisible() or self.calm()
         if self.page.choice.isVisible():
-            yield from self.do(KEY.Key_3)
+            yield from self.do(KEY.Key_Return)
 
     def acknowledged(self, uuid: str) -> None:
         """Tell what the window says of an episode that was dealt with."""

@@ -130,7 +130,8 @@ def test_the_uncertainty_is_asked_for_once(start):
     desk.press(KEY.Key_Return)
     desk.settle()
     assert desk.page.choice.isVisible()
-    desk.do(KEY.Key_4)
+    assert desk.page.choice.marked == "0.20 mm"
+    desk.do(KEY.Key_Tab, KEY.Key_Return)
     assert desk.book.head(first).label.sigma_um == 300
     desk.do(KEY.Key_Return)
     second = desk.uuid
@@ -138,6 +139,48 @@ def test_the_uncertainty_is_asked_for_once(start):
     desk.do(KEY.Key_Return)
     assert not desk.page.choice.isVisible()
     assert desk.book.head(second).label.sigma_um == 300
+
+
+def test_coordinates_typed_into_the_question_of_sigma_are_saved_whole_or_not_at_all(start):
+    desk = start(sigma_mm=None)
+    uuid = desk.uuid
+    before = desk.book.head(uuid).label
+    desk.do(KEY.Key_Right)  # half a second later sigma is asked for
+    assert desk.page.choice.isVisible()
+    assert not desk.page.choice.geometry().intersects(desk.page.view_panel.geometry())
+    assert not desk.page.choice.geometry().intersects(desk.page.film_panel.geometry())
+    desk.do(KEY.Key_D, KEY.Key_X, KEY.Key_S, KEY.Key_Space)
+    assert desk.page.choice.isVisible()
+    desk.type("-3.2,4.5,0.2")
+    assert desk.page.entry.text() == "-3.2,4.5,0.2"
+    assert not desk.page.choice.isVisible()
+    assert (desk.book.head(uuid).label, desk.workspace.sitting.sigma_mm) == (before, None)
+    desk.do(KEY.Key_Return)
+    label = desk.book.head(uuid).label
+    assert (label.x_um, label.y_um, label.sigma_um) == (-3200, 4500, 200)
+
+
+def test_digits_typed_into_the_question_of_sigma_are_no_answer(start):
+    desk = start(sigma_mm=None)
+    uuid = desk.uuid
+    desk.do(KEY.Key_Right)
+    desk.type("3,2")
+    assert desk.page.entry.text() == "3,2"
+    desk.do(KEY.Key_Return)
+    assert desk.page.choice.marked == "0.20 mm"
+    desk.do(KEY.Key_Return)
+    label = desk.book.head(uuid).label
+    assert (label.x_um, label.y_um, label.sigma_um) == (3000, 2000, 200)
+
+
+def test_nothing_is_asked_while_a_displacement_is_being_typed(start):
+    desk = start(sigma_mm=None)
+    desk.press(KEY.Key_Right)
+    desk.type("-3.2")
+    desk.workspace.presenter._nudged()  # the half second is over
+    assert not desk.page.choice.isVisible()
+    desk.type(",4.5")
+    assert desk.page.entry.text() == "-3.2,4.5"
 
 
 def test_whoever_starts_first_is_asked_for_a_name(start):

@@ -25,6 +25,7 @@ class OffsetView(QWidget):
 
     def __init__(self, theme: Theme, moved: Moved, dropped: Callable[[], None]) -> None:
         super().__init__()
+        self._why_empty = "None is in front."
         self._theme, self._moved, self._dropped = theme, moved, dropped
         self.scene: OffsetScene | None = None
         self.editable = True
@@ -44,6 +45,11 @@ class OffsetView(QWidget):
     def sizeHint(self) -> QSize:
         """Return a square."""
         return QSize(460, 460)
+
+    def show_nothing(self, why: str) -> None:
+        """Show no episode, and why."""
+        self._why_empty = why
+        self.show_scene(None)
 
     def show_scene(self, scene: OffsetScene | None) -> None:
         """Show another displacement or another episode."""
@@ -105,7 +111,7 @@ class OffsetView(QWidget):
         painter = QPainter(self)
         if self.scene is None:
             painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
-            draw_message(painter, self.rect(), self._theme, "No episode", "None is in front.")
+            draw_message(painter, self.rect(), self._theme, "No episode", self._why_empty)
             return
         area = self.area()
         painter.drawPixmap(0, 0, self._background(self.scene, area))

@@ -92,6 +92,7 @@ class TargetPanel(Panel):
         self.ask = QCheckBox("Wait for an answer after each probe")
         self.residual = label("", "small", wrap=True)
         self.take = QPushButton("Move the origin there")
+        self.why_not = label("", "small", wrap=True)
         self.start, self.go_on = QPushButton("Start collecting"), QPushButton("Go on")
         self.pause, self.end = QPushButton("Pause"), QPushButton("End")
         self.bar, self.eta = QProgressBar(), label("", "small")
@@ -186,6 +187,7 @@ class TargetPanel(Panel):
             self.column.addWidget(widget)
         self.column.insertLayout(1, form)
         self.column.addWidget(self.start)
+        self.column.addWidget(self.why_not)
         self.column.addLayout(buttons)
         self.column.addWidget(self.bar)
         self.column.addWidget(self.eta)
@@ -250,6 +252,8 @@ class TargetPanel(Panel):
     def show_buttons(self, buttons: TargetButtons) -> None:
         """Enable what is allowed now; a disabled Start says why."""
         self.start.setEnabled(buttons.start)
+        self.why_not.setText(f"{buttons.why_not}." if buttons.why_not else "")
+        self.why_not.setVisible(bool(buttons.why_not))
         self.start.setToolTip(buttons.why_not or "Begin a new campaign (F5)")
         self.go_on.setEnabled(buttons.start and bool(buttons.go_on))
         self.go_on.setToolTip(buttons.go_on or "No campaign is left to go on with")
@@ -260,6 +264,11 @@ class TargetPanel(Panel):
         for field in self._fields:
             field.setEnabled(not buttons.end)
         self.draw_icons()
+
+    def ask_person(self) -> None:
+        """Let the name be typed."""
+        self.person.setFocus()
+        self.person.selectAll()
 
     def show_progress(self, done: int, total: int, eta: str) -> None:
         """Show how far the campaign is; ``eta`` in words."""

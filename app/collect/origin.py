@@ -44,7 +44,7 @@ def note_of(memory: object) -> OriginNote | None:
         sigma_mm = float(memory["sigma_mm"])
         at = str(memory["at"])
         return OriginNote((x, y), sigma_mm, bool(memory["agrees"]), at, bool(memory["used"]))
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise ValueError("no note") from error
 
 

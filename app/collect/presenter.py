@@ -65,6 +65,7 @@ class CollectPresenter:
         self.note: OriginNote | None = None
         self.chosen = ""
         self._pair = ("", "")
+        self._read_from: Dataset | None = None
         self._last = ""
         self._asking = self._mine = False
         self._campaign, self._go_on = "", ""
@@ -92,18 +93,20 @@ class CollectPresenter:
         """Show the probes of the pair in the form."""
         form = self._page.target.form()
         pair = form.piece, form.bottom
-        if self.dataset is None or pair == self._pair:
+        if pair == self._pair and self.dataset is self._read_from:
             return
         try:
             face, outline = (self._catalogue.piece(name).face for name in pair)
         except InputError:
             return
-        self._pair, dataset = pair, self.dataset
+        self._pair, self._read_from, dataset = pair, self.dataset, self.dataset
         self.harvest, self._stale, self._last, self.chosen = Harvest(face, outline), True, "", ""
+        if dataset is None:
+            return
         self._page.episodes.detail.setText("reading")
 
         def done(held: list[Held]) -> None:
-            if pair == self._pair:
+            if pair == self._pair and dataset is self._read_from:
                 self.harvest = Harvest(face, outline, held)
                 self._last, self._stale = self.harvest.newest, True
                 self._judge()
@@ -379,7 +382,7 @@ class CollectPresenter:
         if link.interlock.latched:
             return "Press Reset first"
         if not self.person:
-            return "Say who collects"
+            return "Say who collects: give your name above (Ctrl+U)"
         if self.dataset is None:
             return "The dataset is being opened"
         if not self.dataset.writable:

@@ -17,6 +17,7 @@ from app.label.workspace import LabelWorkspace
 from app.link import Link
 from app.live import LivePresenter, LiveViews
 from app.workspace import Command, Desk, Memory, Workspace
+from backend.catalogue.dataset import DESCRIPTION, Dataset
 from backend.core.facts import Decision, Fact
 from backend.objects.catalogue import load_catalogue
 from widgets.target_panel import TargetForm, TargetIntents
@@ -45,13 +46,19 @@ class CollectWorkspace(Workspace):
         )
         self.live: LivePresenter | None = None
         self._link: Link | None = None
+        self._looked_at: Dataset | None = None
+        """The dataset as it is looked at before anybody is named; nothing is written to it."""
         self.label.opened = self._take_dataset
         self.label.person_changed = self._show_person
         self.page.tell(self._half_came)
         self.commands = (
             *by_half(self.page, TITLES, {COLLECT: self._commands(), LABEL: self.label.commands}),
             Command("half", "The other half: collect, or label", "F2", self._show_other_half),
-        )
+            Command("half-collect", "Collect half", "Ctrl+Shift+C",
+                    lambda: self.page.show_half(COLLECT)),
+            Command("half-label", "Label half", "Ctrl+Shift+L",
+                    lambda: self.page.show_half(LABEL)),
+        )  # fmt: skip
         self.held_keys = self.label.held_keys
 
     # -- life -------------------------------------------------------------------------------------
@@ -131,6 +138,7 @@ class CollectWorkspace(Workspace):
         if self._link is not None:
             self._link.close()
             self._link.dataset = None
+        self._stop_looking()
         self.reader.close()
         self.label.close()
 
@@ -138,6 +146,29 @@ class CollectWorkspace(Workspace):
 
     def _take_dataset(self, opened: Opened) -> None:
         self.presenter.take_dataset(opened.dataset)
+        self._stop_looking()
+
+    def _look(self) -> None:
+        """Show what the dataset holds while nobody is named yet who could write to it."""
+        folder = self.label.folder
+        self.presenter.choose_pair()
+        if self.presenter.dataset is None and (folder / DESCRIPTION).is_file():
+            self.reader.submit(
+                lambda: Dataset.open(folder, create=False, write=False), self._looking, _unseen
+            )
+
+    def _looking(self, dataset: Dataset) -> None:
+        if self.presenter.dataset is None:
+            self._looked_at = dataset
+            self.presenter.take_dataset(dataset)
+        else:
+            self.reader.submit(dataset.close, _unseen, _unseen)
+
+    def _stop_looking(self) -> None:
+        dataset, self._looked_at = self._looked_at, None
+        if dataset is not None:
+            # After the reads that are under way: they are on the same thread.
+            self.reader.submit(dataset.close, _unseen, _unseen)
 
     def _show_person(self, name: str) -> None:
         self.presenter.person = name
@@ -150,6 +181,7 @@ class CollectWorkspace(Workspace):
         self.label.leave()
         self.collect_page.setFocus()
         self.label.open()
+        self._look()
         self.presenter.restyle()
 
     def _show_other_half(self) -> None:
@@ -198,5 +230,10 @@ class CollectWorkspace(Workspace):
             Command("flag-probe", "Flag the probe", "X", lambda: decide("flag")),
             Command("again", "Redo the probe", "R", lambda: decide("redo")),
             Command("leave-out", "Skip: leave its place out", "S", lambda: decide("skip")),
+            Command("person", "Say who collects", "Ctrl+U", self.collect_page.target.ask_person),
             Command("fit", "Fit the force and moment ranges", "Ctrl+F", self.collect_page.fit),
         )
+
+
+def _unseen(_: object) -> None:
+    """Do nothing: whoever opens the dataset to write to it is told what is wrong with it."""

@@ -249,6 +249,12 @@ class LabelPage(QWidget):
         self.message.setText(text)
         self.message.setToolTip(text)
 
+    def show_nobody(self) -> None:
+        """Say that the queue depends on who labels."""
+        self.view.show_nothing("Give your name to see the queue.")
+        self.queue_panel.detail.setText("nobody is named")
+        self.say("Give your name to see the queue (Ctrl+U).")
+
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Hand over what can begin a typed displacement, and Space."""
         firm = event.modifiers() & ~(

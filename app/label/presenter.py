@@ -187,7 +187,7 @@ class LabelPresenter:
         self._news = ""
         if isinstance(ready, Exception):
             self.present = None
-            self._page.view.show_scene(None)
+            self._page.view.show_nothing("None is in front.")
             self._page.film.show_reel({}, (0.0, 2.0), 0.0)
             self._page.shots.show_shots(())
             self._page.verdict.setText("")

@@ -162,6 +162,8 @@ class LabelWorkspace(Workspace):
     # -- who --------------------------------------------------------------------------------------
 
     def _ask_person(self) -> None:
+        if not self.sitting.person:
+            self.label_page.show_nobody()
         self.label_page.ask_words("Your name", self.sitting.person, self.be)
 
     def be(self, name: str) -> None:

@@ -93,7 +93,7 @@ class Page:
 
 
 @pytest.fixture
-def page(qapp, qtbot, collected, isolated_settings, tmp_path):
+def unnamed(qapp, qtbot, collected, isolated_settings, tmp_path):
     place = isolated_settings / "data" / "dataset"
     shutil.copytree(collected, place)
     bench = StandInBench()
@@ -104,17 +104,25 @@ def page(qapp, qtbot, collected, isolated_settings, tmp_path):
         main.window.activateWindow()
     made = Page(main, bench, qtbot)
     made.press(KEY.Key_2, Qt.KeyboardModifier.ControlModifier)
-    made.view.target.person.setFocus()
-    QTest.keyClicks(made.view.target.person, "Ann")
-    QTest.keyClick(made.view.target.person, KEY.Key_Return)
-    made.view.setFocus()
-    qtbot.waitUntil(lambda: made.presenter.dataset is not None, timeout=20_000)
-    made.settle()
     yield made
     main.close()
     main.window.deleteLater()
     main.deleteLater()
     QApplication.processEvents()
+
+
+@pytest.fixture
+def page(unnamed, qtbot):
+    made = unnamed
+    made.press(KEY.Key_U, Qt.KeyboardModifier.ControlModifier)
+    assert made.view.target.person.hasFocus()
+    QTest.keyClicks(made.view.target.person, "Ann")
+    QTest.keyClick(made.view.target.person, KEY.Key_Return)
+    made.view.setFocus()
+    workspace = made.workspace.label
+    qtbot.waitUntil(lambda: workspace.presenter is not None, timeout=20_000)
+    made.settle()
+    return made
 
 
 def test_start_hands_over_the_form_and_the_dataset(page):
@@ -140,11 +148,41 @@ def test_the_first_range_is_any_displacement(page):
     assert asked.ask
 
 
+def test_the_dataset_is_shown_before_anybody_is_named(unnamed, qtbot):
+    page = unnamed
+    qtbot.waitUntil(lambda: page.presenter.dataset is not None, timeout=20_000)
+    page.settle()
+    assert page.presenter.person == ""
+    assert len(page.uuids) == PROBES
+    assert len(page.view.distribution.scene.points_mm) == PROBES
+    assert not page.presenter.dataset.writable
+    page.press(KEY.Key_F5)
+    assert page.bench.started == []
+
+
+def test_a_pair_without_episodes_shows_its_bottom(unnamed):
+    target = unnamed.view.target
+    target.bottom.setCurrentIndex(target.bottom.findData("circle25"))
+    unnamed.settle()
+    assert len(unnamed.view.coverage.scene.bottom)
+    assert unnamed.view.table.rows() == []
+
+
+def test_each_half_has_its_own_key(page):
+    both = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier
+    page.press(KEY.Key_L, both)
+    assert page.workspace.page.front == "label"
+    page.press(KEY.Key_C, both)
+    assert page.workspace.page.front == "collect"
+
+
 def test_nobody_cannot_start(page):
     page.presenter.person = ""
     settle(page.main)
     assert not page.view.target.start.isEnabled()
-    assert page.view.target.start.toolTip() == "Say who collects"
+    assert page.view.target.start.toolTip().startswith("Say who collects")
+    assert page.view.target.why_not.isVisible()
+    assert page.view.target.why_not.text() == f"{page.view.target.start.toolTip()}."
 
 
 def test_maps_and_table_show_what_the_dataset_holds(page):

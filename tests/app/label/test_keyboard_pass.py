@@ -187,10 +187,12 @@ def test_whoever_starts_first_is_asked_for_a_name(start):
     desk = start(person="")
     assert desk.workspace.presenter is None
     assert desk.page.words.isVisible()
+    assert desk.page.message.text() == "Give your name to see the queue (Ctrl+U)."
     desk.type("ANN")
     desk.press(KEY.Key_Return)
     desk.settle()
     assert desk.page.person.text().upper() == "ANN"
+    assert desk.page.message.text() == ""
     assert desk.workspace.memory()["person"].upper() == "ANN"
 
 

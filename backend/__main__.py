@@ -119,7 +119,8 @@ def module_of(verb: str) -> str:
 
 
 def _front() -> Parser:
-    lines = "\n".join(f"  {name:<10}{text}" for name, text in VERBS.items())
+    width = max(map(len, VERBS)) + 2
+    lines = "\n".join(f"  {name:<{width}}{text}" for name, text in VERBS.items())
     front = Parser(
         prog="touchdown",
         usage="touchdown [-h] [--version] <verb> [arguments]",

@@ -27,7 +27,11 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(
             f"Cannot read the file: {reason}.", str(path), "Check the path."
         ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise InputError(
+            "The file is not text, so it is no TOML.", str(path), "Name a text file in UTF-8."
+        ) from error
+    except tomllib.TOMLDecodeError as error:
         raise InputError(
             f"The file is not valid TOML: {error}.", str(path), "Correct the named line."
         ) from error

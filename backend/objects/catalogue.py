@@ -93,7 +93,14 @@ class Catalogue:
         return self._with_role(name, "bottom", "cannot carry another piece", self.bottoms)
 
     def _with_role(self, name: str, role: str, lack: str, others: tuple[str, ...]) -> Piece:
-        piece = self.piece(name)
+        if name not in self.pieces:
+            noun = "bottom piece" if role == "bottom" else "piece"
+            raise InputError(
+                f"There is no {noun} '{name}'.",
+                f"{self.where}: {name}.toml",
+                f"Use one of: {', '.join(others)}.",
+            )
+        piece = self.pieces[name]
         if role not in piece.roles:
             raise InputError(f"'{name}' {lack}.", piece.source, f"Use one of: {', '.join(others)}.")
         return piece

@@ -74,8 +74,12 @@ def read_journal(run: Path) -> Iterator[Fact]:
             try:
                 line = json.loads(raw)
             except ValueError as error:
+                if number == 1:
+                    raise _no_journal(where) from error
                 raise InputError(
-                    "A line is not valid JSON.", where, "Replay the lines before it."
+                    "A line is not valid JSON.",
+                    where,
+                    f"Keep the {number - 1} lines before it in a file of their own, and replay it.",
                 ) from error
             if number == 1:
                 _check_head(line, where)
@@ -85,8 +89,12 @@ def read_journal(run: Path) -> Iterator[Fact]:
 
 def _check_head(line: object, where: str) -> None:
     if not isinstance(line, dict) or line.get("program") != "touchdown":
-        raise InputError("This is not a Touchdown journal.", where, "Name the folder of a run.")
+        raise _no_journal(where)
     if line.get("format") != FORMAT:
         raise InputError(
             f"Journal format {line.get('format')} is not known.", where, "Use a newer Touchdown."
         )
+
+
+def _no_journal(where: str) -> InputError:
+    return InputError("This is not a Touchdown journal.", where, "Name the folder of a run.")

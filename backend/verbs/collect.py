@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import getpass
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -87,13 +88,11 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
             screen.say(notice)
         session = _session(args)
         session.dataset = dataset
-        told = _Told(screen)
         try:
-            session.hub.subscribe(told.take)
-            with (
-                screen.progress("Collecting", args.count) as told.advance,
-                ctrl_c_cancels(session.engine.cancel),
-            ):
+            # The bar begins with the campaign: bad words are refused before anything is said.
+            with ExitStack() as bars, ctrl_c_cancels(session.engine.cancel):
+                told = _Told(screen, bars)
+                session.hub.subscribe(told.take)
                 session.run(_request(args, dataset, person))
         finally:
             session.close()
@@ -103,8 +102,8 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
 class _Told:
     """What the run told so far, and the bar that follows it."""
 
-    def __init__(self, screen: Screen) -> None:
-        self._screen = screen
+    def __init__(self, screen: Screen, bars: ExitStack) -> None:
+        self._screen, self._bars = screen, bars
         self.advance: Advance | None = None
         self.began: CampaignBegan | None = None
         self.ended: RunFinished | None = None
@@ -115,6 +114,8 @@ class _Told:
         """Take one fact."""
         if isinstance(fact, CampaignBegan):
             self.began = fact
+            bar = self._screen.progress("Collecting", fact.total)
+            self.advance = self._bars.enter_context(bar)
             self._move(fact.done, fact.total, "")
         elif isinstance(fact, ProbeCollected):
             self.collected.append(fact)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from backend.__main__ import main
+from backend.__main__ import VERBS, main
 from backend.verbs.check_machine import check_catalogue
 
 
@@ -32,3 +32,38 @@ def test_doctor_names_a_broken_piece_file(tmp_path) -> None:
     check = check_catalogue(tmp_path)
     assert not check.ok
     assert "mine.toml" in check.detail
+
+
+def test_the_help_parts_every_verb_from_its_line(capsys) -> None:
+    assert main([]) == 2
+    said = capsys.readouterr().out
+    for name, text in VERBS.items():
+        assert f"  {name} " in said
+        assert f" {text}\n" in said
+
+
+def test_settings_that_are_no_text_name_no_line(tmp_path, capsys) -> None:
+    (tmp_path / "bench.toml").write_bytes(b"\x00\xff\xfe")
+    assert main(["stack", "--bench", str(tmp_path / "bench.toml")]) == 2
+    said = capsys.readouterr().err
+    assert "not text" in said
+    assert "line" not in said
+
+
+def test_garbage_is_no_journal(tmp_path, capsys) -> None:
+    (tmp_path / "journal.jsonl").write_text("garbage\n")
+    assert main(["replay", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert "not a Touchdown journal" in said
+    assert "before it" not in said
+
+
+def test_a_bottom_that_does_not_exist_is_called_a_bottom(capsys, tmp_path) -> None:
+    assert main(["stack", "--bottom", "nowhere", "--runs", str(tmp_path)]) == 2
+    assert "no bottom piece 'nowhere'" in capsys.readouterr().err
+
+
+def test_nothing_is_said_before_bad_words_are_refused(capsys, tmp_path) -> None:
+    words = ["--dataset", str(tmp_path / "d"), "--runs", str(tmp_path / "r"), "--count", "0"]
+    assert main(["collect", *words]) == 2
+    assert capsys.readouterr().out == ""

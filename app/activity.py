@@ -28,6 +28,17 @@ def moving(link: Link) -> bool:
     return mode is not None and mode().robot_mode is RobotMode.MOVING
 
 
+def why_no_run(link: Link) -> str:
+    """Return why no run may start although none is active, "" if one may."""
+    if link.interlock.latched:
+        return "Press Reset first"
+    if not link.devices:
+        return "The bench is being prepared"
+    if link.hand is not None and link.hand.pressing_n:
+        return "The piece presses on what is below: lift first (jog +Z in Operate)"
+    return ""
+
+
 def unattended(link: Link) -> str:
     """Return what would be left alone if the window closed now, "" for nothing."""
     if busy(link):

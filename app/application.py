@@ -39,7 +39,7 @@ from backend.core.facts import (
 )
 from backend.core.faults import RefusedError
 from backend.core.hub import Mailbox
-from widgets.fault_cards import CardText, FaultCards, Question
+from widgets.fault_cards import STOPPED, CardText, FaultCards, Question
 from widgets.pump import Pump
 from widgets.state_pill import PillState
 from widgets.theme import load_resources
@@ -187,7 +187,7 @@ class TouchdownApp(QObject):
             self.link.stop()
             self.cards.show_card(
                 CardText(
-                    "STOPPED",
+                    STOPPED,
                     "Stopped by the operator.",
                     "The run ends and new motion is refused; the grip is kept.",
                     "Look at the bench, then press Reset.",
@@ -313,6 +313,7 @@ class TouchdownApp(QObject):
             self.cards.clear()
         elif isinstance(fact, RunStarted):
             self.say("")
+            self.cards.pass_on()
         elif isinstance(fact, Said):
             self.say(fact.text)
         elif isinstance(fact, RunFinished) and fact.ending != "finished":

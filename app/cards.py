@@ -19,4 +19,5 @@ def card_of(fault: Fault, at: str) -> CardText:
 
 def refusal_card(error: RefusedError, at: str) -> CardText:
     """Return the card of an order by hand that was refused or ended."""
-    return CardText(error.reason, error.detail, "Nothing moves.", "", reset=False, at=at)
+    return CardText(error.reason, error.detail, "Nothing moves.", "", reset=False, at=at,
+                    passing=True)  # fmt: skip

@@ -32,6 +32,9 @@ def pill_of(link: Link) -> PillState:
     if link.hand is not None and link.interlock.recovering:
         return PillState("RECOVERY", "diamond", "yellow", "jog away from contact")
     status = link.status()
+    if status.state is RunState.IDLE and link.hand is not None and link.hand.pressing_n:
+        note = f"{link.hand.pressing_n:.0f} N: lift, jog +Z"
+        return PillState("IN CONTACT", "diamond", "yellow", note)
     if status.awaiting is not None:
         return PillState("YOUR TURN", "triangle", "blue", "approve or decline")
     word, shape, colour = _WORDS[status.state]

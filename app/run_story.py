@@ -178,6 +178,13 @@ def truth_of(
     return ring(overlap(face + (look.offset_mm or (0.0, 0.0)), bottom + shift))
 
 
+def no_probe(trial: TrialStory) -> BeliefScene:
+    """Return the scene of a trial without an estimate, which says whether one can still come."""
+    if trial.finished is None:
+        return BeliefScene()
+    return BeliefScene(empty=("No probe in this trial", "It ended before the first estimate."))
+
+
 def scene_of(
     trial: TrialStory, index: int, face: FloatArray | None, bottom: FloatArray | None
 ) -> BeliefScene:

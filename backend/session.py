@@ -39,7 +39,7 @@ from backend.runs.host import RunHost
 from backend.runs.plan import Plan
 from backend.runs.plans import plan_of
 from backend.runs.recording import Keep, Recorder
-from backend.runs.requests import Request, RunStatus, SceneChoice
+from backend.runs.requests import Request, RunStatus, SceneChoice, SetRequest
 from backend.runs.stage import Stage
 from backend.sensing.live import LiveSensing, RawStreams
 
@@ -150,6 +150,8 @@ class Session:
             raise RefusedError("BY-HAND", "The bench is being moved by hand: let go first.")
         if self.interlock.recovering:
             raise RefusedError("RECOVERY", "After a fault: jog away from contact first.")
+        if not isinstance(request, SetRequest):
+            self._refuse_contact()
         self.engine.begin(self._plan(request))
 
     def run(self, request: Request) -> None:
@@ -239,6 +241,15 @@ class Session:
 
     # -- inside -----------------------------------------------------------------------------------
 
+    def _refuse_contact(self) -> None:
+        """Refuse to move off sideways, or to tare and reference, while the piece presses."""
+        pressing_n = 0.0 if self.hand is None else self.hand.pressing_n
+        if pressing_n:
+            raise RefusedError(
+                "IN-CONTACT",
+                f"The piece presses with {pressing_n:.1f} N: lift before you start (jog +Z).",
+            )
+
     def _plan(self, request: Request) -> Plan[None]:
         run_id = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")[:-3]
         host = RunHost(
@@ -292,6 +303,7 @@ class Session:
             scoring=stage.scoring,
             wall_s=time.perf_counter,
             probe_count=lambda: self.engine.status().probe,
+            felt_count=lambda: self.engine.status().felt,
             outline=stage.outline,
             jig=stage.jig,
             scene_view=stage.scene_view,

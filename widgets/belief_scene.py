@@ -9,6 +9,7 @@ import numpy as np
 from backend.core.flow import BeliefMap, FloatArray, Stability
 
 LEAST_HALF_MM = 10.0
+NO_PROBE = "No probe in this trial yet", "The map fills in with the first press."
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +18,7 @@ class BeliefScene:
 
     ``path``: face centres of the probes so far, oldest first. ``face``: (k, 2) outline of the
     piece around its face centre. ``truth``: (k, 2) outline of the true overlap, set only after
-    the trial on a simulated bench.
+    the trial on a simulated bench. ``empty``: what stands in place of a map, and why.
     """
 
     belief: BeliefMap | None = None
@@ -29,6 +30,7 @@ class BeliefScene:
     face: FloatArray | None = None
     truth: FloatArray | None = None
     delta: float = 0.9
+    empty: tuple[str, str] = NO_PROBE
 
     def frame_mm(self) -> tuple[float, float, float]:
         """Centre x, y and half width of the square worth showing: covered cells and the path."""

@@ -90,8 +90,7 @@ class BeliefView(QWidget):
         belief = self.scene.belief
         if belief is None:
             if not self._thumbnail:
-                draw_message(painter, area.rect, self._theme, "No probe in this trial yet",
-                             "The map fills in with the first press.")  # fmt: skip
+                draw_message(painter, area.rect, self._theme, *self.scene.empty)
             return
         painter.save()
         painter.setClipRect(area.rect)
@@ -162,7 +161,7 @@ class BeliefView(QWidget):
 def describe(scene: BeliefScene) -> str:
     """Return the scene in one sentence, for screen readers."""
     if scene.belief is None:
-        return "No probe in this trial yet"
+        return scene.empty[0]
     text = (
         f"{scene.belief.probes} probes fused, largest support {scene.belief.probability.max():.2f}"
     )

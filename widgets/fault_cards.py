@@ -1,4 +1,7 @@
-"""Cards under the top bar: what happened, its consequence, the next step. Latched until Reset."""
+"""Cards under the top bar: what happened, its consequence, the next step. Latched until Reset.
+
+One card shows, so that the page below keeps its place; the others are one press away.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +22,16 @@ from PySide6.QtWidgets import (
 from widgets.panel import label
 
 MAX_CARDS = 4
+STOPPED = "STOPPED"
+"""Code of the card of a stop: always on top."""
 
 
 @dataclass(frozen=True, slots=True)
 class CardText:
-    """One card. ``reset``: it belongs to the stop latch, only Reset removes it."""
+    """One card. ``reset``: it belongs to the stop latch, only Reset removes it.
+
+    ``passing``: an order was refused; the next one that is carried out removes it.
+    """
 
     code: str
     what: str
@@ -32,6 +40,7 @@ class CardText:
     details: str = ""
     reset: bool = True
     at: str = ""
+    passing: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +66,8 @@ class FaultCard(QFrame):
         self._details.setMaximumHeight(140)
         self._details.hide()
         self._on_button = on_button
+        self.more = QPushButton()
+        self.more.hide()
         self._arrange()
         self._show_count()
 
@@ -85,6 +96,7 @@ class FaultCard(QFrame):
         words.addWidget(self._foot)
         row = QHBoxLayout()
         row.addLayout(words, 1)
+        row.addWidget(self.more)
         row.addWidget(self._button("Details", self._toggle))
         row.addWidget(self._button("Copy", self._copy))
         last = "Reset" if self.text.reset else "Dismiss"
@@ -135,6 +147,7 @@ class FaultCards(QWidget):
         self._on_reset = on_reset
         self._cards: dict[str, FaultCard] = {}
         self._question: QFrame | None = None
+        self._unfolded = False
         self._column = QVBoxLayout(self)
         self._column.setContentsMargins(10, 8, 10, 0)
         self._column.setSpacing(6)
@@ -153,14 +166,15 @@ class FaultCards(QWidget):
     def show_card(self, text: CardText) -> None:
         """Add a card, or count a repetition of the same code."""
         if text.code in self._cards:
-            self._cards[text.code].again(text)
-            return
-        if len(self._cards) >= MAX_CARDS:
-            self._remove(next(iter(self._cards)))
-        card = FaultCard(text, self._pressed)
-        self._cards[text.code] = card
-        self._column.addWidget(card)
-        self.show()
+            card = self._cards[text.code] = self._cards.pop(text.code)
+            card.again(text)
+        else:
+            if len(self._cards) >= MAX_CARDS:
+                self._remove(self._ranked()[-1].text.code)
+            card = FaultCard(text, self._pressed)
+            card.more.clicked.connect(self._unfold)
+            self._cards[text.code] = card
+        self._lay_out()
 
     def ask(self, question: Question) -> None:
         """Show a question; the former one is withdrawn."""
@@ -183,21 +197,25 @@ class FaultCards(QWidget):
             self._question.hide()
             self._question.deleteLater()
             self._question = None
-        self._hide_if_empty()
+        self._lay_out()
+
+    def pass_on(self) -> None:
+        """Remove the cards of refused orders: a later one was carried out."""
+        self.clear([code for code, card in self._cards.items() if card.text.passing])
 
     def clear(self, codes: Sequence[str] | None = None) -> None:
         """Remove the latched cards (or those of ``codes``)."""
         for code, card in list(self._cards.items()):
             if (codes is None and card.text.reset) or (codes is not None and code in codes):
                 self._remove(code)
-        self._hide_if_empty()
+        self._lay_out()
 
     def _pressed(self, text: CardText) -> None:
         if text.reset:
             self._on_reset()
         else:
             self._remove(text.code)
-            self._hide_if_empty()
+            self._lay_out()
 
     def _remove(self, code: str) -> None:
         card = self._cards.pop(code)
@@ -205,5 +223,26 @@ class FaultCards(QWidget):
         card.hide()
         card.deleteLater()
 
-    def _hide_if_empty(self) -> None:
-        self.setVisible(bool(self._cards) or self._question is not None)
+    def _ranked(self) -> list[FaultCard]:
+        """Return the cards as they lie: STOP, then what else waits for Reset, then the newest."""
+        newest = reversed(self._cards.values())
+        return sorted(newest, key=lambda c: (c.text.code != STOPPED, not c.text.reset))
+
+    def _unfold(self) -> None:
+        self._unfolded = not self._unfolded
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        """Show the first card, or all in their order while unfolded."""
+        ranked = self._ranked()
+        self._unfolded = self._unfolded and len(ranked) > 1
+        for place, card in enumerate(ranked):
+            self._column.removeWidget(card)
+            self._column.addWidget(card)
+            card.setVisible(place == 0 or self._unfolded)
+            card.more.setVisible(place == 0 and len(ranked) > 1)
+        if len(ranked) > 1:
+            text = "Fewer" if self._unfolded else f"{len(ranked) - 1} more"
+            ranked[0].more.setText(text)
+            ranked[0].more.setAccessibleName(f"{text}: the other cards")
+        self.setVisible(bool(ranked) or self._question is not None)

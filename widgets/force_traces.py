@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QPainter, QPaintEvent, QPen, QPixmap, QPolygonF, QResizeEvent
@@ -19,6 +17,8 @@ from widgets.trace_buckets import TraceBuckets
 AXES = ("x", "y", "z")
 LIMITS = (1.0, 2.0, 5.0)
 BUCKETS = 360
+ROW_EM = 1.4
+"""Distance of the read-outs, in their height."""
 SPANS_S = (10.0, 30.0, 60.0)
 
 
@@ -124,8 +124,9 @@ class TracePlot(QWidget):
     def _draw_end_labels(self, painter: QPainter, area: PlotArea) -> None:
         painter.setFont(ui_font(self._theme.scale, 0.92, 500))
         height = painter.fontMetrics().height()
-        places = spread([area.y(v) for v in self.buckets.last], height,
-                        area.rect.top(), area.rect.bottom())  # fmt: skip
+        # Read-outs: places that follow the curves would jump while they are being read.
+        top = area.rect.center().y() - ROW_EM * height
+        places = [top + ROW_EM * height * row for row in range(len(AXES))]
         decimals = 1 if self.limit >= 5 else 3
         for name, value, y in zip(AXES, self.buckets.last, places, strict=True):
             painter.setPen(self._theme.tokens.colour(f"axis_{name}"))
@@ -155,8 +156,10 @@ class TracePlot(QWidget):
         painter.fillRect(rect, t.colour("bg"))
         painter.setFont(ui_font(self._theme.scale, 0.85))
         height = painter.fontMetrics().height()
-        step = nice_step(2 * self.limit, 4)
-        for value in ticks(-self.limit, self.limit, 4):
+        # No more numbers than there is room for: low plots name the middle and the ends.
+        count = 4 if rect.height() >= 7 * height else 2
+        step = nice_step(2 * self.limit, count)
+        for value in ticks(-self.limit, self.limit, count):
             y = area.y(value)
             painter.setPen(QPen(t.colour("border" if value == 0 else "grid"), 1))
             painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
@@ -166,7 +169,8 @@ class TracePlot(QWidget):
             box = QRectF(0, y - height / 2, rect.left() - 6, height)
             painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), tick_text(value, step))
         span = int(self.buckets.span_s)
-        for value in range(-span, 1, span // 5):
+        widest = painter.fontMetrics().horizontalAdvance(f"{tick_text(-span, 1)} s")
+        for value in range(-span, 1, span // (5 if rect.width() >= 7 * widest else 2)):
             x = area.x(value)
             painter.setPen(QPen(t.colour("grid"), 1))
             painter.drawLine(QPointF(x, rect.top()), QPointF(x, rect.bottom()))
@@ -220,21 +224,3 @@ def _polylines(
         y = np.clip(y, 2 * area.y0, 2 * area.y1)
         lines.append(area.polygon(np.repeat(age_s[start:end], 2), y))
     return lines
-
-
-def spread(wanted: list[float], gap: float, low: float, high: float) -> list[float]:
-    """Move labels apart so that neighbours are ``gap`` away and all stay within [low, high]."""
-    known = [low if math.isnan(y) else min(max(y, low), high) for y in wanted]
-    order = sorted(range(len(wanted)), key=known.__getitem__)
-    placed = [known[i] for i in order]
-    for k in range(1, len(placed)):
-        placed[k] = max(placed[k], placed[k - 1] + gap)
-    overshoot = placed[-1] - high
-    if overshoot > 0:
-        placed[-1] = high
-        for k in range(len(placed) - 2, -1, -1):
-            placed[k] = min(placed[k], placed[k + 1] - gap)
-    result = [0.0] * len(wanted)
-    for k, i in enumerate(order):
-        result[i] = placed[k]
-    return result

@@ -72,3 +72,21 @@ def polygon_of(points: FloatArray) -> QPolygonF:
     memory: Any = VoidPtr(address, points.size * 8, True)  # type: ignore[call-arg]
     np.frombuffer(memory, dtype=np.float64)[:] = points.ravel()
     return polygon
+
+
+def spread(wanted: list[float], gap: float, low: float, high: float) -> list[float]:
+    """Move labels apart so that neighbours are ``gap`` away and all stay within [low, high]."""
+    known = [low if math.isnan(y) else min(max(y, low), high) for y in wanted]
+    order = sorted(range(len(wanted)), key=known.__getitem__)
+    placed = [known[i] for i in order]
+    for k in range(1, len(placed)):
+        placed[k] = max(placed[k], placed[k - 1] + gap)
+    overshoot = placed[-1] - high
+    if overshoot > 0:
+        placed[-1] = high
+        for k in range(len(placed) - 2, -1, -1):
+            placed[k] = min(placed[k], placed[k + 1] - gap)
+    result = [0.0] * len(wanted)
+    for k, i in enumerate(order):
+        result[i] = placed[k]
+    return result

@@ -109,7 +109,9 @@ class ScorePanel(Panel):
         placed = sum(o is Outcome.PLACED for o in score.outcomes)
         count = f"{placed} of {len(score.outcomes)} placed" if score.outcomes else "No trial yet"
         self._count.setText(count)
-        self.detail.setText(f"{len(score.outcomes)} of {score.trials} done" if score.trials else "")
+        done = f"{len(score.outcomes)} of {score.trials} done" if score.trials else ""
+        aborted = sum(o is Outcome.ABORTED for o in score.outcomes)
+        self.detail.setText(f"{done}, {aborted} aborted" if aborted else done)
         rate = ""
         if score.interval is not None:
             low, high = (100 * bound for bound in score.interval)

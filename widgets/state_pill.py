@@ -52,9 +52,9 @@ class StatePill(QWidget):
         """Show another state and announce it to screen readers."""
         if state == self.state:
             return
-        self.state = state
+        told, self.state = self.state.word, state
         self.setAccessibleName(f"State: {state.word}")
-        if QAccessible.isActive():
+        if state.word != told and QAccessible.isActive():
             QAccessible.updateAccessibility(QAccessibleAnnouncementEvent(self, state.word))
         self.updateGeometry()
         self.update()

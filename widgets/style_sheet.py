@@ -51,12 +51,13 @@ QPushButton[role="stop"] {{ background: {stop}; color: {on_dark}; border: 2px so
     border-radius: 0; padding: 2px 14px; font-weight: 600; min-height: 32px; }}
 QPushButton[role="stop"]:hover {{ background: {pill_red}; }}
 QPushButton[role="stop"]:pressed {{ background: {on_light}; }}
-QToolButton[role="rail"] {{ background: transparent; border: none; border-radius: 6px;
-    padding: 6px 2px; color: {muted}; font-size: {small}pt; min-height: 40px; }}
+QToolButton[role="rail"] {{ background: transparent; border: 2px solid transparent;
+    border-left-width: 3px; border-radius: 6px; padding: 4px 0;
+    color: {muted}; font-size: {small}pt; min-height: 40px; }}
 QToolButton[role="rail"]:hover {{ background: {raised}; color: {text}; }}
 QToolButton[role="rail"]:checked {{ background: {raised}; color: {text}; font-weight: 600;
-    border-left: 3px solid {focus}; border-radius: 3px; }}
-QToolButton[role="rail"]:focus {{ border: 2px solid {focus}; }}
+    border-left-color: {focus}; border-radius: 3px; }}
+QToolButton[role="rail"]:focus {{ border-color: {focus}; }}
 QToolButton[role="plain"] {{ background: transparent; border: 1px solid transparent;
     padding: 2px 6px; min-height: 20px; color: {muted}; }}
 QToolButton[role="plain"]:hover {{ background: {raised}; color: {text}; }}

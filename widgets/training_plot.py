@@ -10,9 +10,8 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt
 from PySide6.QtGui import QFontMetrics, QPainter, QPaintEvent, QPen, QPolygonF
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
-from widgets.force_traces import spread
 from widgets.overlay import draw_message
-from widgets.plot_axes import PlotArea, nice_step, tick_text, ticks
+from widgets.plot_axes import PlotArea, nice_step, spread, tick_text, ticks
 from widgets.theme import Theme, ui_font
 
 LEAST_EPOCHS = 4

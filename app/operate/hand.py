@@ -111,12 +111,16 @@ class HandPresenter:
         try:
             order(hand)
         except RefusedError as error:
+            if error.reason == "JOG-ENDED":
+                # What ended it has been told already.
+                return False
             self._cards.show_card(refusal_card(error, f"{datetime.now():%H:%M:%S}"))
             return False
         except FaultError as error:
             refused = RefusedError(error.fault.code, error.fault.what)
             self._cards.show_card(refusal_card(refused, f"{datetime.now():%H:%M:%S}"))
             return False
+        self._cards.pass_on()
         return True
 
     # -- showing ----------------------------------------------------------------------------------
@@ -161,11 +165,17 @@ class HandPresenter:
         )
         slow = hand.jog.state.slow
         recovering = self._link.interlock.recovering
-        note = "Recovery: jog away from contact" if recovering else ""
+        contact = self._contact(hand)
+        note = "Recovery: jog away from contact" if recovering else contact
         if slow and hand.jog.state.order is not None:
             note = f"{hand.jog.state.speed_mm_s:.1f} mm/s: {slow}"
         age_s = max(self._link.clock_s() - t_s, 0.0)
-        return PoseLook((x, y, z), age_s, room, note, warn=recovering)
+        return PoseLook((x, y, z), age_s, room, note, warn=recovering or bool(contact))
+
+    def _contact(self, hand: Hand) -> str:
+        if busy(self._link) or not hand.pressing_n:
+            return ""
+        return f"In contact with {hand.pressing_n:.1f} N: jog +Z to lift before you start a run"
 
     def _draw_gripper(self) -> None:
         status, hand = self._grip_status(), self._link.hand

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 
-from app.activity import busy
+from app.activity import busy, why_no_run
 from app.cards import refusal_card
 from app.link import Link
 from backend.config.method import ProbeSettings
@@ -73,16 +73,13 @@ class ProbePresenter:
 
     def draw(self) -> None:
         """Enable what is allowed now."""
-        active, latched = busy(self._link), self._link.interlock.latched
-        why = ""
-        if latched:
-            why = "Press Reset first"
-        elif not self._link.devices:
-            why = "The bench is being prepared"
-        elif active and not self._mine:
+        active = busy(self._link)
+        why = "" if active else why_no_run(self._link)
+        if active and not self._mine:
             why = "A run is going on"
-        ready = not active and not latched and bool(self._link.devices)
-        self._panel.show_buttons(probe=ready, cancel=active and self._mine, why=why)
+        self._panel.show_buttons(
+            probe=not active and not why, cancel=active and self._mine, why=why
+        )
         self._panel.detail.setText(self._link.status().phase if active and self._mine else "")
 
     def _note_episode(self, fact: EpisodeRecorded) -> None:

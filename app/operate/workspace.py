@@ -11,11 +11,15 @@ from app.operate.jog_keys import ROWS, JogKeys
 from app.operate.page import OperateIntents, OperatePage
 from app.operate.probe import PHASES, ProbePresenter
 from app.outlines import outlines
-from app.run_story import RunStory, scene_of
+from app.run_story import RunStory, no_probe, scene_of
 from app.workspace import Command, Desk, Memory, Workspace
 from backend.core.facts import Fact
 from backend.devices.jog import STEPS_MM
 from widgets.belief_scene import BeliefScene
+
+NO_RUN = BeliefScene(
+    empty=("No stacking run yet", "The map is fused over a run; one probe alone makes none.")
+)
 
 
 class OperateWorkspace(Workspace):
@@ -184,7 +188,8 @@ class OperateWorkspace(Workspace):
             return
         self._shown, trial = self._story.version, self._story.trial
         if trial is None or not trial.probes:
-            self.page.belief.show_scene(BeliefScene())
+            self.page.belief.show_scene(NO_RUN if trial is None else no_probe(trial))
+            self.page.belief_panel.detail.setText("")
             return
         face, bottom = outlines(self._link.catalogue, self._story.head)
         scene = scene_of(trial, len(trial.probes) - 1, face, bottom)

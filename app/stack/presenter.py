@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from app.activity import ACTIVE, busy
+from app.activity import ACTIVE, busy, why_no_run
 from app.link import Link
 from app.outlines import outlines
-from app.run_story import ProbeLook, RunStory, TrialStory, scene_of
+from app.run_story import ProbeLook, RunStory, TrialStory, no_probe, scene_of
 from app.stack.page import StackPage
 from app.tally import wilson
 from backend.core.facts import Fact, TrialFinished
@@ -25,6 +25,7 @@ from widgets.probe_strip import caption_of
 from widgets.run_panel import RunButtons, RunForm
 from widgets.score_panel import WORDS, Score
 
+PRESSING = frozenset({"press", "hold"})
 RELEASED = frozenset({Outcome.PLACED, Outcome.FELL, Outcome.KNOCKED_OVER})
 
 
@@ -49,8 +50,9 @@ class StackPresenter:
         try:
             self._link.start(request_of(self._page.run.form()))
         except RefusedError as error:
+            latched = self._link.interlock.latched
             self._cards.show_card(CardText(error.reason, "The run was not started.", error.detail,
-                                           "", reset=self._link.interlock.latched))  # fmt: skip
+                                           "", reset=latched, passing=not latched))  # fmt: skip
         except InputError as error:
             self._cards.show_card(
                 CardText("INPUT", error.what, f"In {error.where}.", error.fix, reset=False)
@@ -105,14 +107,9 @@ class StackPresenter:
 
     def _draw_buttons(self, status: RunStatus) -> None:
         active = status.state in ACTIVE
-        ready = bool(self._link.devices) and not self._link.interlock.latched
-        why = ""
-        if self._link.interlock.latched:
-            why = "Press Reset first"
-        elif not ready:
-            why = "The bench is being prepared"
+        why = "" if active else why_no_run(self._link)
         buttons = RunButtons(
-            start=ready and not active,
+            start=not why and not active,
             pause=status.state in (RunState.RUNNING, RunState.PAUSING, RunState.PAUSED),
             cancel=active and status.state is not RunState.CANCELLING,
             paused=status.state in (RunState.PAUSED, RunState.PAUSING),
@@ -149,15 +146,16 @@ class StackPresenter:
         trial = self._shown_trial()
         self._page.score.show_score(self._score())
         if trial is None or not trial.probes:
-            self._page.belief.show_scene(BeliefScene())
+            self._page.belief.show_scene(BeliefScene() if trial is None else no_probe(trial))
             self._page.legend.show_truth(False)
             self._page.strip.show_probes([], -1)
             self._page.belief_panel.detail.setText("")
             if trial is not None and trial.finished is not None:
                 self._page.decision.show_text(self._ended(trial.finished))
             elif trial is not None:
-                text = DecisionText("Probing", "", "", "The first press follows.")
-                self._page.decision.show_text(text)
+                pressed = trial.phase in PRESSING
+                follows = "The estimate follows the press." if pressed else "A press follows."
+                self._page.decision.show_text(DecisionText("Probing", "", "", follows))
             return
         chosen = len(trial.probes) - 1 if self._chosen is None else self._chosen
         scenes = [self._scene(i) for i in range(len(trial.probes))]

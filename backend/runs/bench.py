@@ -100,7 +100,8 @@ class Scoring(Protocol):
 class Bench:
     """One trial's bench. ``now_s`` is its clock; ``scoring`` is None where truth is unknown.
 
-    ``wall_s`` measures decision latency only; ``probe_count`` says how far the trial has come;
+    ``wall_s`` measures decision latency only; ``probe_count`` says how far the trial has come,
+    ``felt_count`` how many of its probes gave an estimate;
     ``outline`` of the surface that is touched; ``jig``: pose of ``G`` with the piece in its jig.
     """
 
@@ -118,6 +119,7 @@ class Bench:
     scoring: Scoring | None
     wall_s: Callable[[], float]
     probe_count: Callable[[], int]
+    felt_count: Callable[[], int]
     outline: Outline
     jig: Pose | None
     scene_view: SceneView | None = None

@@ -18,6 +18,7 @@ from backend.core.facts import (
     ApprovalAwaited,
     Fact,
     FaultRaised,
+    PatchEstimated,
     PhaseEntered,
     RunFinished,
     RunStarted,
@@ -240,9 +241,11 @@ def _followed(status: RunStatus, fact: Fact) -> RunStatus:
             status, state=RunState.RUNNING, run_id=fact.run_id, trials=fact.trials, text="Running"
         )
     if isinstance(fact, TrialStarted):
-        return replace(status, trial=fact.trial, probe=0, phase="", awaiting=None)
+        return replace(status, trial=fact.trial, probe=0, felt=0, phase="", awaiting=None)
     if isinstance(fact, PhaseEntered):
         return replace(status, phase=fact.phase, probe=fact.probe, awaiting=None)
+    if isinstance(fact, PatchEstimated):
+        return replace(status, felt=fact.probe)
     if isinstance(fact, ActionChosen):
         return replace(status, text=fact.action.reason)
     if isinstance(fact, ApprovalAwaited):

@@ -59,6 +59,15 @@ class Hand:
         return self._reach.gripper.status().holding
 
     @property
+    def pressing_n(self) -> float:
+        """How hard the held piece presses on what is below, N; 0 while nothing is touched.
+
+        Without a piece the tare still holds its weight: what the wrist then feels is no contact.
+        """
+        press_n = self._around.press_n()
+        return press_n if press_n > self._interlock.limits.contact_n and self.holding else 0.0
+
+    @property
     def rotates(self) -> bool:
         """Whether the hand can turn and single joints can be driven."""
         return self._reach.arm.rotates

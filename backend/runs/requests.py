@@ -130,13 +130,17 @@ class RunState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class RunStatus:
-    """A snapshot of the engine, taken under its lock."""
+    """A snapshot of the engine, taken under its lock.
+
+    ``probe`` is the one begun last, ``felt`` the last one that gave an estimate.
+    """
 
     state: RunState
     run_id: str = ""
     trial: int = 0
     trials: int = 0
     probe: int = 0
+    felt: int = 0
     phase: str = ""
     awaiting: PlaceAction | None = None
     text: str = ""

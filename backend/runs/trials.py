@@ -52,4 +52,4 @@ def _one_trial(bench: Bench, request: StackRequest) -> Plan[tuple[Ending, RunEnd
     ended = yield from orderly(bench, plan(bench))
     if ended.value is not None:
         return ended.value, None if ended.value.fault is None else "failed"
-    return Ending(Outcome.ABORTED, ended.reason, bench.probe_count()), ended.run_ending
+    return Ending(Outcome.ABORTED, ended.reason, bench.felt_count()), ended.run_ending

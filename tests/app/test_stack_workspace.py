@@ -7,10 +7,12 @@ from scipy.stats import binomtest
 
 from app.stack.presenter import request_of
 from app.tally import wilson
+from backend.core.facts import PhaseEntered, TrialFinished
 from backend.core.flow import Outcome
 from backend.runs.requests import RunState, StackRequest
 from tests.app.conftest import settle
 from tests.app.stand_in import action
+from widgets.belief_scene import NO_PROBE
 from widgets.run_panel import RunForm
 
 
@@ -130,6 +132,37 @@ def test_a_margin_stands_beside_an_outcome_only_after_a_release(live, bench, out
         live.workspaces["stack"].page.strip.thumbnails[1].caption.text()
         == "2: est. \N{MINUS SIGN}1.1 mm"
     )
+
+
+def test_a_trial_stopped_in_its_first_press_tells_one_story(live, bench):
+    page = live.workspaces["stack"].page
+    bench.tell_start()
+    bench.hub.publish(PhaseEntered(bench.clock_s(), "approach", 1))
+    settle(live)
+    assert page.decision._text.text() == "A press follows."
+    bench.hub.publish(PhaseEntered(bench.clock_s(), "press", 1))
+    settle(live)
+    assert page.decision._text.text() == "The estimate follows the press."
+    assert page.belief.scene.empty == NO_PROBE
+    done = TrialFinished(
+        bench.clock_s(), 1, 7, Outcome.ABORTED, "stopped by operator", 0, None, None
+    )
+    bench.hub.publish(done)
+    settle(live)
+    assert page.belief.scene.empty[0] == "No probe in this trial"
+    assert page.score._last.text() == "Seed 7: aborted after 0 probes."
+    assert page.score.detail.text() == "1 of 3 done, 1 aborted"
+    assert page.score._count.text() == "0 of 1 placed"
+
+
+def test_operate_has_no_map_before_a_stacking_run(live, bench):
+    live.go("operate")
+    settle(live)
+    belief = live.workspaces["operate"].page.belief
+    assert belief.scene.empty[0] == "No stacking run yet"
+    bench.tell_start()
+    settle(live)
+    assert belief.scene.empty == NO_PROBE
 
 
 def test_an_outcome_stays_until_the_next_trial_has_a_map(live, bench):

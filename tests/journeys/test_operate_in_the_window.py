@@ -110,7 +110,11 @@ def test_a_frozen_window_ends_the_motion_within_300_ms(desk):
     assert 0.0 < moved_s - frozen_s <= 0.3
     turn(main, session, 0.2, held=True)
     assert not main.workspaces["operate"].page.jog.hold.held, "thawed: the lease is gone"
-    assert "JOG-LEASE" in main.cards.codes
+    assert main.cards.codes == ("JOG-LEASE",), "one end, one card"
+    QTest.mouseRelease(main.workspaces["operate"].page.jog.pads["+x"], Qt.MouseButton.LeftButton)
+    QTest.mousePress(main.workspaces["operate"].page.jog.pads["+x"], Qt.MouseButton.LeftButton)
+    assert session.hand.jog.active
+    assert main.cards.codes == (), "the next order that is carried out withdraws it"
 
 
 def test_a_dialog_and_another_page_end_a_jog(desk):

@@ -1,6 +1,5 @@
 """An operator stacks in the window: the real bench, stepped by hand instead of by its thread."""
 
-
 import numpy as np
 import pytest
 from PySide6.QtCore import Qt
@@ -10,10 +9,11 @@ from PySide6.QtWidgets import QApplication
 import backend.assembly as assembly
 from app.application import TouchdownApp
 from app.error_hooks import ErrorBox
+from backend.core.faults import RefusedError
 from backend.core.flow import ContactPatch, Outcome
 from backend.learning.checkpoint import load_card
 from backend.objects.surface import face_points
-from backend.runs.requests import RunState, SceneChoice
+from backend.runs.requests import ProbeRequest, RunState, SceneChoice
 from backend.session import Keep
 from widgets.run_panel import RunForm
 
@@ -127,13 +127,27 @@ def test_approve_then_stop_then_reset(desk, qtbot):
     assert main.bar.pill.state.word == "YOUR TURN"
     probe = link.status().probe
     QTest.keyClick(main.window, Qt.Key.Key_A)
-    turn_until(main, link, lambda: link.status().phase == "press" and link.status().probe > probe)
+    turn_until(main, link, lambda: link.status().probe > probe and link.hand.pressing_n > 2.0)
     QTest.keyClick(main.window.windowHandle(), Qt.Key.Key_Space)
     assert link.interlock.latched
     turn_until(main, link, lambda: link.status().state is RunState.IDLE)
     assert main.workspaces["stack"].presenter.story.ended.ending == "stopped"
     assert main.bar.pill.state.word == "STOPPED"
     main.cards.card("STOPPED")._act()
+    # The piece still presses: no start before it is lifted, and the way out is told.
+    turn_until(main, link, lambda: main.bar.pill.state.word == "IN CONTACT")
+    assert "jog +Z" in main.bar.pill.state.note
+    start = main.workspaces["stack"].page.run.start
+    assert not start.isEnabled()
+    assert "lift first" in start.toolTip()
+    with pytest.raises(RefusedError, match=r"presses with \d\.\d N: lift"):
+        link.start(ProbeRequest())
+    main.go("operate")
+    jog = main.workspaces["operate"].page.jog
+    jog.next_step(9)
+    turn_until(main, link, jog.pads["+z"].isEnabled)
+    QTest.mousePress(jog.pads["+z"], Qt.MouseButton.LeftButton)
     turn_until(main, link, lambda: main.bar.pill.state.word == "READY")
-    assert main.workspaces["stack"].page.run.start.isEnabled()
+    main.go("stack")
+    turn_until(main, link, start.isEnabled)
     assert main.cards.codes == ()

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from PySide6.QtCore import QRectF
 
 from widgets import arrows
-from widgets.force_traces import spread
-from widgets.plot_axes import PlotArea, nice_step, polygon_of, tick_text, ticks
+from widgets.plot_axes import PlotArea, nice_step, polygon_of, spread, tick_text, ticks
 
 
 def test_an_arrow_starts_at_rest_and_ends_at_gain_times_the_displacement():

@@ -132,6 +132,21 @@ def test_traces_of_one_and_of_1000_values(qtbot, theme, count):
     assert "Fz 7.00" in plot.summary()
 
 
+def test_read_outs_keep_their_places_whatever_the_curves_do(qtbot, theme):
+    plot = shown(qtbot, TracePlot(theme, "Force", "F", "N", 10.0))
+    places = []
+    for t_s, values in ((0.0, (-5.0, 2.0, 7.0)), (1.0, (7.0, -5.0, 2.0))):
+        plot.add(t_s + 1e-3 * np.arange(900), np.tile(values, (900, 1)))
+        right = int(plot.area().rect.right()) + 5
+        column = pixels(plot)[:, right:].astype(int)
+        hexed = [getattr(theme.tokens, f"axis_{axis}") for axis in "xyz"]
+        want = [np.array([int(h[i : i + 2], 16) for i in (1, 3, 5)]) for h in hexed]
+        rows = [np.flatnonzero((np.abs(column - w).max(axis=2) < 30).any(axis=1)) for w in want]
+        places.append([float(row.mean()) for row in rows])
+    assert places[0] == pytest.approx(places[1], abs=1.5)
+    assert places[0] == sorted(places[0])
+
+
 def test_traces_with_nan_break_the_line(qtbot, theme):
     plot = shown(qtbot, TracePlot(theme, "Force", "F", "N", 10.0))
     values = np.full((4000, 3), 5.0)

@@ -12,7 +12,7 @@ from backend.core.flow import Pose
 from backend.devices.interlock import LEASE_S, Limits
 from backend.devices.jog import TOOL_SIGNS, JogOrder, way_of
 from backend.devices.jog_limits import fastest_mm_s, refuse_forced, room_mm
-from backend.runs.requests import ProbeRequest, SceneChoice
+from backend.runs.requests import ProbeRequest, SceneChoice, StackRequest
 from backend.session import Keep
 
 STEP_S = 0.02
@@ -168,6 +168,29 @@ def test_stop_ends_a_jog_and_latches(high):
     assert np.array_equal(position(high), at)
     with pytest.raises(RefusedError):
         high.hand.jog.renew(order(high, 50))
+
+
+def test_a_piece_that_presses_is_lifted_before_anything_starts(session):
+    session.start(ProbeRequest())
+    for _ in range(2000):
+        session.engine.tick()
+        session.advance()
+        if session.hand.pressing_n > 2.0:
+            break
+    session.stop()
+    session.engine.tick()
+    session.reset()
+    session.advance()
+    for request in (ProbeRequest(), StackRequest("pot", ("short",))):
+        with pytest.raises(RefusedError, match="lift before you start") as refused:
+            session.start(request)
+        assert refused.value.reason == "IN-CONTACT"
+    hold(session, 2.0, axis="z")
+    session.hand.jog.end(1)
+    assert session.hand.pressing_n == 0.0
+    session.start(ProbeRequest())
+    session.engine.cancel()
+    session.engine.tick()
 
 
 def test_near_the_surface_it_is_slow_and_says_so(session):

@@ -128,6 +128,7 @@ def test_stop_in_every_phase_ends_the_run_and_keeps_the_piece(phase: str) -> Non
     after(bench, PhaseEntered, phase, bench.session.stop)
     bench.session.run(request())
     assert last_trial(bench).outcome is Outcome.ABORTED
+    assert last_trial(bench).probes == len(bench.of(PatchEstimated)), "only what was felt counts"
     end = bench.facts[-1]
     assert isinstance(end, RunFinished)
     assert end.ending == "stopped"

@@ -5,9 +5,10 @@ import sys
 import threading
 from dataclasses import asdict
 
+import numpy as np
 import pytest
 from PySide6.QtCore import QRect, Qt, qWarning
-from PySide6.QtGui import QAction
+from PySide6.QtGui import QAction, QImage
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QLabel, QSpinBox, QWidget
 
 from app.application import TouchdownApp
@@ -230,6 +231,21 @@ def test_a_log_that_cannot_be_written_is_no_obstacle(tmp_path):
     (tmp_path / "file").write_text("x")
     assert log_to(tmp_path / "file" / "log") is None
     assert ErrorBox().take() is None
+
+
+def test_the_rail_keeps_its_icons_in_place_whichever_page_is_in_front(live):
+    def icon_columns(button):
+        image = button.grab().toImage().convertToFormat(QImage.Format.Format_Grayscale8)
+        rows = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), -1)
+        top = rows[6:32, 5 : image.width() - 3].astype(int)
+        drawn = np.flatnonzero((np.abs(top - np.median(top)) > 60).any(axis=0))
+        return int(drawn[0]), int(drawn[-1])
+
+    for name in live.workspaces:
+        live.go(name)
+        chosen = icon_columns(live.window.rail[name])
+        live.go("stack" if name != "stack" else "operate")
+        assert icon_columns(live.window.rail[name]) == pytest.approx(chosen, abs=1.1), name
 
 
 def test_details_are_shown_and_copied(live, bench, qapp):

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from PySide6.QtCore import Qt
 from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QHBoxLayout, QListWidget, QPushButton, QVBoxLayout, QWidget
 
 from widgets.panel import label
+from widgets.wrapped_items import WrappedItems
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +33,7 @@ class HistoryList(QWidget):
         self._rows: list[HistoryRow] = []
         self.list = _Quiet()
         self.list.setAccessibleName("Versions of the label")
-        self.list.setWordWrap(True)
-        self.list.setResizeMode(QListWidget.ResizeMode.Adjust)
-        self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        WrappedItems(self.list)
         self.restore = QPushButton("Restore")
         self.restore.setToolTip("Make a new version with the content of the chosen one")
         self.count = label("", "small")

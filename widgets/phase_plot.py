@@ -27,8 +27,8 @@ class PhaseSheet:
     def area(self, trace: WrenchTrace | None) -> PlotArea:
         """Return the square that is drawn, centred on the path."""
         em = self.paper.em
-        side = max(min(self.paper.width - 3.2 * em, self.paper.height - 1.9 * em), 30.0)
-        rect = QRectF(2.9 * em, 0.3 * em, side, side)
+        side = max(min(self.paper.width - 3.2 * em, self.paper.height - 3.0 * em), 30.0)
+        rect = QRectF(2.9 * em, 1.4 * em, side, side)
         if trace is None:
             return PlotArea(rect, -1.0, 1.0, -1.0, 1.0)
         moments = trace.values[:, 3:5]
@@ -65,10 +65,8 @@ class PhaseSheet:
         for value in ticks(area.y0, area.y1, 3):
             box = QRectF(0, area.y(value) - height / 2, rect.left() - 5, height)
             painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), tick_text(value, step))
-        corner = rect.adjusted(5, 3, -5, -3)
-        low, right = Qt.AlignmentFlag.AlignBottom, Qt.AlignmentFlag.AlignRight
-        painter.drawText(corner, int(low | right), "Tx (N·m)")
-        painter.drawText(corner, int(Qt.AlignmentFlag.AlignLeft), "Ty")
+        above = QRectF(0, rect.top() - height - 3, self.paper.width, height)
+        painter.drawText(above, int(Qt.AlignmentFlag.AlignLeft), "Ty over Tx (N·m)")
 
 
 PhaseDrawn = tuple[PhaseSheet, QImage]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from PySide6.QtCore import Qt
 from PySide6.QtWidgets import (
     QButtonGroup,
     QLineEdit,
@@ -17,6 +16,7 @@ from PySide6.QtWidgets import (
 
 from widgets.history_list import HistoryList
 from widgets.panel import Panel, label
+from widgets.wrapped_items import WrappedItems
 
 TABS = ("History", "Agree", "Log", "Bulk")
 
@@ -35,9 +35,7 @@ class SideTabs(Panel):
         self.history = HistoryList(restore)
         self.agreement = label("", wrap=True)
         self.log, self.needle = QListWidget(), QLineEdit()
-        self.log.setWordWrap(True)
-        self.log.setResizeMode(QListWidget.ResizeMode.Adjust)
-        self.log.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        WrappedItems(self.log)
         self.log.setAccessibleName("Log of all actions")
         self.needle.setPlaceholderText("Search person, action, episode")
         self.needle.setAccessibleName("Search the log")

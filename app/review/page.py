@@ -29,6 +29,7 @@ from widgets.recorded_traces import RecordedTraces
 from widgets.score_panel import ScorePanel
 from widgets.theme import Theme
 from widgets.time_line import TimeLine
+from widgets.wrapped_items import WrappedItems
 
 KINDS = (("all", "All recordings"), ("runs", "Runs"), ("series", "Series of the dataset"))
 FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
@@ -53,9 +54,7 @@ class QuietList(QListWidget):
     def __init__(self, name: str) -> None:
         super().__init__()
         self.setAccessibleName(name)
-        self.setWordWrap(True)
-        self.setResizeMode(QListWidget.ResizeMode.Adjust)
-        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        WrappedItems(self)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Keep only what moves the choice."""

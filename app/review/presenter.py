@@ -13,7 +13,7 @@ from app.review.library import Library
 from app.review.page import ReviewPage
 from app.review.recorded import Recorded, read_recorded
 from app.review.replay import Replay
-from app.review.run_lines import read_run_line
+from app.review.run_lines import activity_words, read_run_line
 from app.review.stored import Series, StoredEpisode
 from app.review.timed import TimedTrial, trials_of
 from app.run_story import RunStory, TrialStory
@@ -246,8 +246,9 @@ class ReviewPresenter:
         head, ended = self.story.head, self.story.ended
         last = "The journal ends before the run did." if ended is None else f"Run {ended.ending}."
         if head is not None:
-            last = f"{head.piece} on {head.bottom}, {head.strategy}. {last}"
-        trials = head.trials if head is not None else 0
+            what = ", ".join(activity_words(head)) or head.strategy
+            last = f"{head.piece} on {head.bottom}, {what}. {last}"
+        trials = head.trials if head is not None and head.activity == "stack" else 0
         self._page.score.show_score(Score(outcomes, trials, wilson(placed, len(outcomes)), last))
 
     def face(self, name: str) -> Outline | None:

@@ -19,6 +19,9 @@ _STARTS = tuple(
 )
 """How the journal begins the few lines that matter here; all others are passed over unread."""
 
+ACTIVITIES = {"collect": "collecting", "probe": "single probe"}
+"""Runs of the bench that have no trials, by what they were for."""
+
 
 @dataclass(frozen=True, slots=True)
 class RunLine:
@@ -32,7 +35,7 @@ class RunLine:
         """Return piece, bottom and outcomes in words."""
         if self.head is None:
             return "nothing recorded"
-        said = _counted(self.outcomes)
+        said = _counted(self.outcomes) or activity_words(self.head)
         if self.ended is None:
             said.append("not finished")
         elif self.ended.ending != "finished":
@@ -65,6 +68,11 @@ def read_run_line(run: Path) -> RunLine:
             elif isinstance(fact, RunFinished):
                 ended = fact
     return RunLine(head, tuple(outcomes), ended)
+
+
+def activity_words(head: RunStarted) -> list[str]:
+    """Return what a run without trials was for; nothing for one that stacks."""
+    return [] if head.activity == "stack" else [ACTIVITIES.get(head.activity, head.activity)]
 
 
 def _counted(outcomes: tuple[Outcome, ...]) -> list[str]:

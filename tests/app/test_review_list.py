@@ -3,8 +3,9 @@
 import pytest
 
 from app.review import presenter as review
+from app.review.page import QuietList
 from app.review.run_lines import read_run_line
-from backend.core.facts import RunFinished
+from backend.core.facts import RunFinished, RunStarted
 from backend.core.flow import Outcome
 from backend.runs.journal import NAME, Journal
 from tests.app.stand_in import StandInBench
@@ -104,3 +105,33 @@ def test_a_run_that_went_on_is_described_again(main, qtbot, tmp_path):
             lambda: not main.workspaces["review"].presenter._describing.isActive(), timeout=3000
         )
         assert rows.item(0).text() == f"{TIME}\npot on short: {text}"
+
+
+@pytest.mark.parametrize(
+    ("activity", "text"),
+    [("collect", "pot on circle15: collecting, run cancelled"),
+     ("probe", "pot on circle15: single probe, run cancelled")],
+)  # fmt: skip
+def test_a_run_without_trials_is_named_by_what_it_was_for(tmp_path, activity, text):
+    journal = Journal(tmp_path / "run")
+    journal(RunStarted(0.0, "run", "pot", "circle15", "random", 0, 1, True, "{}",
+                       activity=activity))  # fmt: skip
+    journal(RunFinished(0.0, "run", "cancelled", ""))
+    journal.close()
+    assert read_run_line(tmp_path / "run").text() == text
+
+
+def test_rows_are_as_high_as_their_text_beside_the_scroll_bar(qapp, qtbot):
+    view = QuietList("Recorded runs")
+    qtbot.addWidget(view)
+    view.setStyleSheet("QListWidget::item { padding: 6px 8px; }")
+    view.resize(150, 120)
+    view.show()
+    text = "pot on circle15: aborted, run stopped"
+    view.addItems([text] * 20)
+    qapp.processEvents()
+    metrics, room = view.fontMetrics(), view.viewport().width() - 16
+    assert view.verticalScrollBar().isVisible()
+    assert metrics.horizontalAdvance(text) > room
+    lines = -(-metrics.horizontalAdvance(text) // room)
+    assert view.visualItemRect(view.item(0)).height() >= lines * metrics.height()

@@ -35,7 +35,7 @@ def why_no_run(link: Link) -> str:
     if not link.devices:
         return "The bench is being prepared"
     if link.hand is not None and link.hand.pressing_n:
-        return "The piece presses on what is below: lift first (jog +Z in Operate)"
+        return "In contact: lift first (jog +Z in Operate)"
     return ""
 
 

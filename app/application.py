@@ -12,7 +12,7 @@ from PySide6.QtGui import QIcon
 from PySide6.QtWidgets import QApplication
 
 from app.actions import Actions
-from app.activity import moving, unattended
+from app.activity import moving, unattended, why_no_run
 from app.appearance import Appearance
 from app.arrival import Arrival, failed_card
 from app.cards import card_of, refusal_card
@@ -311,6 +311,8 @@ class TouchdownApp(QObject):
             self.cards.show_card(refusal_card(RefusedError(fact.reason, fact.text), _clock()))
         elif isinstance(fact, FaultsReset):
             self.cards.clear()
+            if self.link is not None and why_no_run(self.link):
+                self.say(f"{why_no_run(self.link)}.")
         elif isinstance(fact, RunStarted):
             self.say("")
             self.cards.pass_on()

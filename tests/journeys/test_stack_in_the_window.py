@@ -140,6 +140,7 @@ def test_approve_then_stop_then_reset(desk, qtbot):
     start = main.workspaces["stack"].page.run.start
     assert not start.isEnabled()
     assert "lift first" in start.toolTip()
+    assert "lift first" in main.window._message.text()
     with pytest.raises(RefusedError, match=r"presses with \d\.\d N: lift"):
         link.start(ProbeRequest())
     main.go("operate")

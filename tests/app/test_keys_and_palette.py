@@ -136,7 +136,7 @@ def test_the_palette_works_with_keys_alone(live, qtbot):
 def test_a_command_of_another_page_brings_that_page(live):
     live.actions.action("palette").trigger()
     palette = live.dialogs.palette
-    QTest.keyClicks(palette.field, "look for new runs")
+    QTest.keyClicks(palette.field, "look for new recordings")
     QTest.keyClick(palette.field, Qt.Key.Key_Down)
     QTest.keyClick(palette.field, Qt.Key.Key_Up)
     QTest.keyClick(palette.field, Qt.Key.Key_Return)

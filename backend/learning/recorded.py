@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import threading
 import time
@@ -18,14 +17,10 @@ from backend.catalogue.training_set import LabelChoice, is_dataset
 from backend.catalogue.uuid7 import uuid7
 from backend.config.method import TrainingSettings
 from backend.core.faults import InputError
-from backend.learning.checkpoint import load_card
 from backend.learning.child import TrainingProcess
 from backend.learning.job import Cancelled, Epoch, Finished, Loaded, TrainingJob
-from backend.learning.metrics import calibration_error
-from backend.learning.training_runs import KIND, MODEL, RELIABILITY, RESUME, TrainingRun
-
-METRICS = ("train_loss", "validation_loss", "iou", "point_accuracy")
-CALIBRATION = "calibration_error"
+from backend.learning.run_record import note, note_bins
+from backend.learning.training_runs import KIND, MODEL, RESUME, TrainingRun
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +90,7 @@ class RecordedTraining:
                         child.cancel()
                 try:
                     for report in child.reports():
-                        _keep(run, report)
+                        note(run, report)
                         yield report
                 finally:
                     with self._lock:
@@ -143,32 +138,11 @@ def _begin(request: TrainingRequest) -> LiveRun:
         ) from error
 
 
-def _keep(run: LiveRun, report: Loaded | Epoch | Finished | Cancelled) -> None:
-    if isinstance(report, Epoch):
-        for name in METRICS:
-            run.metric(name, report.epoch, getattr(report, name))
-        run.metric(CALIBRATION, report.epoch, calibration_error(report.reliability))
-        _keep_bins(run.folder, report.epoch, report.reliability)
-        run.end_epoch()
-    elif isinstance(report, Finished):
-        for name, path in (("model", report.out), ("card", report.out.with_suffix(".json"))):
-            run.artifact(name, path)
-        run.name_data(load_card(report.out).manifest_sha256)
-        run.finish()
-    elif isinstance(report, Cancelled):
-        run.cancel()
-
-
-def _keep_bins(folder: Path, epoch: int, bins: object) -> None:
-    with (folder / RELIABILITY).open("a", encoding="utf-8") as file:
-        file.write(json.dumps({"epoch": epoch, "bins": bins}) + "\n")
-
-
 def _repeat(run: LiveRun, former: TrainingRun) -> None:
     """Begin the curves with those of the run that is gone on with."""
     for name, values in former.curves.items():
         for step, value in values:
             run.metric(name, step, value)
     for epoch, bins in former.reliability.items():
-        _keep_bins(run.folder, epoch, bins)
+        note_bins(run, epoch, bins)
     run.end_epoch()

@@ -5,20 +5,22 @@ Everything is in the folder of the run, so that it makes no difference who has t
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from hashlib import sha256
 
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.run_folder import LiveRun
 from backend.catalogue.training_set import is_dataset
 from backend.catalogue.writer_lock import DatasetInUseError
+from backend.learning.checkpoint import load_card
 from backend.learning.job import Cancelled, Epoch, Finished, Loaded, TrainingJob
+from backend.learning.metrics import calibration_error
+from backend.learning.training_runs import KIND, RELIABILITY
 
-KIND = "train"
 CURVES = ("train_loss", "validation_loss", "iou", "point_accuracy")
 """Fields of ``Epoch`` that are kept as metrics, a value per epoch."""
-MANIFEST = "manifest.json"
+CALIBRATION = "calibration_error"
 
 
 def begin_training(dataset: Dataset, job: TrainingJob) -> LiveRun:
@@ -36,22 +38,29 @@ def kept_in(run: LiveRun | None, job: TrainingJob) -> TrainingJob:
 def note(run: LiveRun, report: Loaded | Epoch | Finished | Cancelled) -> None:
     """Keep what the training said; its last word ends the run."""
     match report:
-        case Epoch():
-            for name in CURVES:
-                run.metric(name, report.epoch, getattr(report, name))
-            run.end_epoch()
-        case Finished():
-            manifest = run.folder / MANIFEST
-            if manifest.exists():
-                run.name_data(sha256(manifest.read_bytes()).hexdigest())
-            run.artifact("model", report.out)
-            run.finish()
-        case Cancelled():
-            run.cancel()
         case Loaded():
             facts = report.model_dump(mode="json", include={"episodes", "held_out", "base_rate"})
             for name, value in facts.items():
                 run.metric(name, 0, value)
+        case Epoch():
+            for name in CURVES:
+                run.metric(name, report.epoch, getattr(report, name))
+            run.metric(CALIBRATION, report.epoch, calibration_error(report.reliability))
+            note_bins(run, report.epoch, report.reliability)
+            run.end_epoch()
+        case Finished():
+            for name, path in (("model", report.out), ("card", report.out.with_suffix(".json"))):
+                run.artifact(name, path)
+            run.name_data(load_card(report.out).manifest_sha256)
+            run.finish()
+        case Cancelled():
+            run.cancel()
+
+
+def note_bins(run: LiveRun, epoch: int, bins: object) -> None:
+    """Append the reliability bins of an epoch."""
+    with (run.folder / RELIABILITY).open("a", encoding="utf-8") as file:
+        file.write(json.dumps({"epoch": epoch, "bins": bins}) + "\n")
 
 
 @contextmanager

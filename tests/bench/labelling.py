@@ -7,6 +7,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -46,8 +47,8 @@ def _fill(folder: Path, episodes: int, filmed: int) -> None:
             dataset.record(episode, Label(x_um, y_um, 0, 300), source="commanded", context=context)
 
 
-def _walk(folder: Path) -> list[Figure]:
-    from PySide6.QtTest import QTest
+def _opened(folder: Path) -> tuple[Any, Any, Any]:
+    """Return application, window and label workspace, with Ann at the label page."""
     from PySide6.QtWidgets import QApplication
 
     from app.application import TouchdownApp
@@ -56,12 +57,18 @@ def _walk(folder: Path) -> list[Figure]:
     application = QApplication.instance() or QApplication([])
     assert isinstance(application, QApplication)
     window = TouchdownApp(application, ErrorBox(), folder / "window.json", folder / "runs")
-    both = window.workspaces["collect"]
-    both.page.bring("label")  # type: ignore[attr-defined]
-    workspace = both.label  # type: ignore[attr-defined]
-    workspace.recall({"person": "Ann", "sigma_mm": 0.2})
+    both: Any = window.workspaces["collect"]
+    both.page.bring("label")
+    both.label.recall({"person": "Ann", "sigma_mm": 0.2})
     window.window.show()
     window.go("collect")
+    return application, window, both.label
+
+
+def _walk(folder: Path) -> list[Figure]:
+    from PySide6.QtTest import QTest
+
+    application, window, workspace = _opened(folder)
 
     def until(done: Callable[[], bool]) -> None:
         end_s = time.monotonic() + 120
@@ -69,7 +76,7 @@ def _walk(folder: Path) -> list[Figure]:
             QTest.qWait(1)
 
     until(lambda: workspace.presenter is not None and workspace.presenter.present is not None)
-    p = workspace.presenter  # type: ignore[attr-defined]
+    p = workspace.presenter
 
     def ready() -> bool:
         ahead = p.walk.order[p.walk.at + 1]
@@ -97,7 +104,7 @@ def _walk(folder: Path) -> list[Figure]:
         until(ready)
         before = p.present.item.entry.uuid
         accepted.append(timed(
-            workspace.decisions.enter,  # type: ignore[attr-defined]
+            workspace.decisions.enter,
             lambda before=before: p.present.item.entry.uuid != before,  # type: ignore[misc]
         ))  # fmt: skip
     held = sum(p.walk.size(uuid) for uuid in p.walk.held())

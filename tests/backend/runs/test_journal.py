@@ -58,6 +58,15 @@ ALL = [
     facts.Progress(1.3, 1, 2, "half"),
     facts.Said(1.4, "words"),
     facts.RunFinished(1.5, "r", "finished", "done"),
+    facts.CampaignBegan(1.6, "c", "s", "/data", 3, 20),
+    facts.Gripped(1.7, 1, 2, 16.5),
+    facts.OriginChecked(1.8, (0.1, -0.2), 0.05, True),
+    facts.DecisionAwaited(1.9, "u", 4),
+    facts.ProbeCollected(
+        2.0, "u", 4, 1, 4, 20, (1.0, 2.0), (1.1, 2.1), 0.15, (1.0, 2.0, 0.1, 0.2, 9.0), 0.0, 0.1, ""
+    ),
+    facts.Refused(2.2, "IN-CONTACT", "words"),
+    facts.EpisodeDecided(2.1, "u", 4, "keep", "ann"),
 ]
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from rich.table import Table
 from rich.text import Text
 
-from backend.runs.store import dataset_folder
 from backend.verbs import check_machine, check_packages
 from backend.verbs.check import Check, Examine
 from backend.verbs.dataset_care import examine_only
@@ -52,6 +51,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, screen: Screen) -> int:
     """Print all findings; returns 1 if one of them stops Touchdown from working."""
+    # Imported here so that the check does not load what it checks (OpenCV).
+    from backend.runs.store import dataset_folder
+
     if args.dataset is not None:
         folder = Path(args.dataset) if args.dataset else dataset_folder()
         return examine_only(folder, screen)

@@ -115,7 +115,7 @@ class GuardedArm(_Guarded):
                 f"{limits.highest_mm:.0f} mm.",
             )
         self._refuse_dragging(target)
-        return self._arm.move_to(target, speed_mm_s)
+        return self._arm.move_to(target, speed_mm_s * self._interlock.override)
 
     @property
     def rotates(self) -> bool:
@@ -143,7 +143,7 @@ class GuardedArm(_Guarded):
 
     def halt(self) -> None:
         """Stand still without a latch: a jog ended."""
-        self._arm.stop()
+        self._arm.halt()
 
     def press(self, command: PressCommand) -> PressMotion:
         """Press; refused if the nominal force exceeds the limit or the approach is too fast."""

@@ -14,6 +14,8 @@ from dataclasses import dataclass, fields
 
 from backend.core.faults import Fault, RefusedError
 
+LEAST_OVERRIDE = 0.1
+"""Slower, a move of a run would outlast the time that it is given."""
 LEASE_S = 0.25
 """A lease not renewed for this long ends motion (reliability: jog and run leases)."""
 
@@ -135,6 +137,7 @@ class Interlock:
         self._faults: tuple[Fault, ...] = ()
         self._lease_until_s = -math.inf
         self._stoppers: list[Callable[[], None]] = []
+        self._override = 1.0
         self.recovering = False
         """True from the reset of a fault until the wrist is free of contact: then the arm moves
         by hand, slowly and away from contact only."""
@@ -155,6 +158,17 @@ class Interlock:
     def faults(self) -> tuple[Fault, ...]:
         """Latched faults, oldest first."""
         return self._faults
+
+    @property
+    def override(self) -> float:
+        """Share of every commanded speed in air, ``LEAST_OVERRIDE`` to 1; presses keep theirs."""
+        return self._override
+
+    def override_speed(self, share: float) -> None:
+        """Slow down what is commanded from now on; raises ``RefusedError`` outside the range."""
+        if not LEAST_OVERRIDE <= share <= 1.0:
+            raise RefusedError("OVERRIDE", f"{100 * share:.0f} % is not within 10 to 100 %.")
+        self._override = share
 
     def on_stop(self, stopper: Callable[[], None]) -> None:
         """Call ``stopper`` (which must return at once) at every stop."""

@@ -200,12 +200,12 @@ class Jog:
         asked = abs(order.speed_mm_s)
         if not 0.0 < asked <= self._interlock.limits.jog_mm_s:
             raise RefusedError("SPEED", f"{asked:.1f} mm/s is no jog speed.")
-        speed = self._speed(way, asked, here)
-        slow = "" if speed == asked else self._zone(here)[1]
+        speed, override = self._speed(way, asked, here), self._interlock.override
+        slow = "" if speed == asked else self._zone(here)[1] or f"override {100 * override:.0f} %"
         left_mm = room_mm(here, way, self._interlock.limits)
         if left_mm / REPEAT_S < speed:
             speed, slow = left_mm / REPEAT_S, f"{left_mm:.1f} mm to the limit"
-        if not speed >= min(asked, CREEP_MM_S):
+        if not speed >= min(asked * override, CREEP_MM_S):
             raise RefusedError("LIMIT", _left(order.axis, order.frame, order.speed_mm_s, left_mm))
         return speed, slow
 
@@ -214,7 +214,7 @@ class Jog:
         refuse_forced(
             self._around.press_n(), way, interlock.limits, recovering=interlock.recovering
         )
-        return min(asked_mm_s, self._zone(here)[0])
+        return min(asked_mm_s * interlock.override, self._zone(here)[0])
 
     def _zone(self, here: Pose) -> tuple[float, str]:
         interlock, press_n = self._interlock, self._around.press_n()

@@ -210,8 +210,11 @@ class Arm(Device, Protocol):
     def unload(self, force_n: float, speed_mm_s: float) -> Motion:
         """Rise while in contact until the press force is ``force_n``, then stand still."""
 
+    def halt(self) -> None:
+        """End the motion under way and stand still, ready for the next; returns immediately."""
+
     def stop(self) -> None:
-        """Stop at once, in every state; returns immediately."""
+        """Stop at once, in every state; returns immediately. What the wires need is done anew."""
 
 
 @dataclass(frozen=True, slots=True)

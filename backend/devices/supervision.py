@@ -11,12 +11,14 @@ from collections.abc import Mapping
 import numpy as np
 
 from backend.core.faults import Fault
-from backend.core.flow import FINGERS, Finger, TactileFrame
+from backend.core.flow import FINGERS, Finger, ImageArray, TactileFrame
 from backend.core.stream import SampleStream, Stream
 from backend.devices.interlock import Interlock
 
 GRACE_S = 1.0
 """After a scene begins the sensors get this long to deliver their first samples."""
+EQUAL = 3
+"""So many equal pictures in a row are a camera that froze: a live one has noise (C3)."""
 _KEPT = "Motion stopped; the gripper was not opened."
 _LOOK = "Check the device and its cable, then press Reset."
 
@@ -34,14 +36,16 @@ class Supervision:
         self._cursor = wrench.count
         self._begun_s = 0.0
         self._finite_s = 0.0
+        self._repeats = {finger: _Repeats(frames[finger]) for finger in FINGERS}
 
     def begin(self, now_s: float) -> None:
         """Count ages from here: a new scene began."""
         self._begun_s = self._finite_s = now_s
         self._cursor = self._wrench.count
+        self._repeats = {finger: _Repeats(self._frames[finger]) for finger in FINGERS}
 
     def check(self, now_s: float) -> None:
-        """Raise (latch) a fault if a sensor is silent, not finite, or over its trip limit."""
+        """Raise (latch) a fault if a sensor is silent, frozen, not finite, or over its limit."""
         samples = self._wrench.since(self._cursor)
         self._cursor = samples.cursor
         if len(samples.t_s):
@@ -49,6 +53,7 @@ class Supervision:
             if finite.any():
                 self._finite_s = float(samples.t_s[finite][-1])
                 self._check_trip(samples.values[finite])
+        self._check_frozen()
         if now_s - self._begun_s < GRACE_S:
             return
         self._check_ages(now_s)
@@ -70,6 +75,19 @@ class Supervision:
                     "force_torque",
                 )
             )
+
+    def _check_frozen(self) -> None:
+        for finger, repeats in self._repeats.items():
+            if repeats.longest() >= EQUAL:
+                self._interlock.raise_fault(
+                    Fault(
+                        "CAMERA-FROZEN",
+                        f"The {finger} tactile camera delivers the same picture again and again.",
+                        _KEPT,
+                        _LOOK,
+                        f"tactile_{finger}",
+                    )
+                )
 
     def _check_ages(self, now_s: float) -> None:
         limits = self._interlock.limits
@@ -97,3 +115,28 @@ class Supervision:
                         f"tactile_{finger}",
                     )
                 )
+
+
+class _Repeats:
+    """Counts equal pictures in a row of one camera."""
+
+    def __init__(self, frames: Stream[TactileFrame]) -> None:
+        self._frames, self._cursor = frames, frames.count
+        self._last: ImageArray | None = None
+        self._equal = 1
+
+    def longest(self) -> int:
+        """Return the longest row of equal pictures that ends in what came since the last call."""
+        frames, self._cursor, _ = self._frames.since(self._cursor)
+        longest = 0
+        for frame in frames:
+            alike = self._last is not None and _equal(self._last, frame.image)
+            self._equal = self._equal + 1 if alike else 1
+            self._last = frame.image
+            longest = max(longest, self._equal)
+        return longest
+
+
+def _equal(one: ImageArray, other: ImageArray) -> bool:
+    # A few points first: pictures of a live camera differ nearly everywhere.
+    return np.array_equal(one[::32, ::32], other[::32, ::32]) and np.array_equal(one, other)

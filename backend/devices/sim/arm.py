@@ -9,6 +9,7 @@ import numpy as np
 
 from backend.core.flow import FloatArray, Pose
 from backend.core.stream import SampleStream
+from backend.devices.motion import CommandedMotion, replaced_fault, stopped_fault
 from backend.devices.protocols import (
     ArmStatus,
     PressCommand,
@@ -16,12 +17,7 @@ from backend.devices.protocols import (
     SafetyMode,
 )
 from backend.devices.sim.connection import Connection, SimDevice
-from backend.devices.sim.motion import (
-    SimMotion,
-    SimPressMotion,
-    replaced_fault,
-    stopped_fault,
-)
+from backend.devices.sim.motion import SimPressMotion
 from backend.simulation.arm import Jog, PressLaw, Program
 from backend.simulation.world import World
 
@@ -29,11 +25,18 @@ from backend.simulation.world import World
 class SimArm(SimDevice):
     """Moves the pivot of a ``World``. ``stop`` works from any thread and in every state."""
 
-    def __init__(self, world: World, poses: SampleStream, now_s: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        world: World,
+        poses: SampleStream,
+        commands: SampleStream,
+        now_s: Callable[[], float],
+    ) -> None:
         self._world, self._poses, self._now_s = world, poses, now_s
+        self._commands = commands
         super().__init__(Connection("arm", "simulated arm", now_s))
         self._lock = threading.Lock()
-        self._motion: SimMotion | None = None
+        self._motion: CommandedMotion | None = None
         self._program: Program | None = None
 
     @property
@@ -64,7 +67,7 @@ class SimArm(SimDevice):
         x, y, z = values.tolist()
         return Pose(x, y, z)
 
-    def move_to(self, target: Pose, speed_mm_s: float) -> SimMotion:
+    def move_to(self, target: Pose, speed_mm_s: float) -> CommandedMotion:
         """Move straight to ``target``; raises ValueError for a rotation or a senseless number."""
         self._connection.require_ready()
         if (target.rx_rad, target.ry_rad, target.rz_rad) != (0.0, 0.0, 0.0):
@@ -79,14 +82,14 @@ class SimArm(SimDevice):
             "speed_mm_s": speed_mm_s,
         }
         with self._lock:
-            return self._take(SimMotion(sent), self._world.travel(goal, speed_mm_s))
+            return self._take(CommandedMotion(sent), self._world.travel(goal, speed_mm_s))
 
     @property
     def rotates(self) -> bool:
         """Never: the simulated hand keeps its orientation."""
         return False
 
-    def jog(self, velocity_mm_s: tuple[float, float, float], for_s: float) -> SimMotion:
+    def jog(self, velocity_mm_s: tuple[float, float, float], for_s: float) -> CommandedMotion:
         """Follow a velocity for ``for_s``; a renewal goes on without a jerk."""
         self._connection.require_ready()
         velocity = np.array(velocity_mm_s)
@@ -97,7 +100,9 @@ class SimArm(SimDevice):
             if not isinstance(program, Jog) or program.done or motion is None:
                 x, y, z = velocity_mm_s
                 program = self._world.jog()
-                motion = self._take(SimMotion({"x_mm_s": x, "y_mm_s": y, "z_mm_s": z}), program)
+                motion = self._take(
+                    CommandedMotion({"x_mm_s": x, "y_mm_s": y, "z_mm_s": z}), program
+                )
             program.renew(velocity, self._now_s() + for_s)
             return motion
 
@@ -127,12 +132,12 @@ class SimArm(SimDevice):
             self._take(motion, program)
             return motion
 
-    def unload(self, force_n: float, speed_mm_s: float) -> SimMotion:
+    def unload(self, force_n: float, speed_mm_s: float) -> CommandedMotion:
         """Rise until the press force is ``force_n``."""
         self._connection.require_ready()
         sent = {"force_n": force_n, "speed_mm_s": speed_mm_s}
         with self._lock:
-            return self._take(SimMotion(sent), self._world.unload(force_n, speed_mm_s))
+            return self._take(CommandedMotion(sent), self._world.unload(force_n, speed_mm_s))
 
     def stop(self) -> None:
         """Stand still from the next cycle on; the motion under way ends with a fault."""
@@ -142,17 +147,23 @@ class SimArm(SimDevice):
                 self._motion.end(stopped_fault(self.name))
             self._motion = self._program = None
 
+    def halt(self) -> None:
+        """Stand still from the next cycle on: in a simulation the same as ``stop``."""
+        self.stop()
+
     def deliver(self, t_s: float, pose_mm: FloatArray, *, silent: bool) -> None:
         """Take the measured position of one cycle and see whether the motion ended."""
         if self._connection.ready and not silent:
-            self._poses.put(np.array([t_s]), pose_mm[None])
+            at_s = np.array([t_s])
+            self._poses.put(at_s, pose_mm[None])
+            self._commands.put(at_s, self._world.drive.command_mm[None])
             self._connection.arrived(t_s, 1)
         with self._lock:
             if self._motion is not None and self._program is not None and self._program.done:
                 self._motion.end(self._program.failure)
                 self._motion = self._program = None
 
-    def _take(self, motion: SimMotion, program: Program) -> SimMotion:
+    def _take(self, motion: CommandedMotion, program: Program) -> CommandedMotion:
         if self._motion is not None:
             self._motion.end(replaced_fault(self.name))
         self._motion, self._program = motion, program

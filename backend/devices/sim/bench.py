@@ -35,6 +35,7 @@ class BenchStreams:
     frames: Mapping[Finger, Stream[TactileFrame]]
     samples: SampleStream
     poses: SampleStream
+    commands: SampleStream
 
     @classmethod
     def new(cls) -> BenchStreams:
@@ -43,6 +44,7 @@ class BenchStreams:
             {finger: Stream(f"tactile_{finger}", FRAME_CAPACITY) for finger in FINGERS},
             SampleStream("force_torque", 6, SAMPLE_CAPACITY),
             SampleStream("arm", 3, SAMPLE_CAPACITY),
+            SampleStream("arm_command", 3, SAMPLE_CAPACITY),
         )
 
     def clear(self) -> None:
@@ -51,6 +53,7 @@ class BenchStreams:
             frames.clear()
         self.samples.clear()
         self.poses.clear()
+        self.commands.clear()
 
 
 class SimulatedBench:
@@ -66,7 +69,7 @@ class SimulatedBench:
         self.clock = HandClock()
         self._world = World(scene, self._script)
         now_s = self.clock.now_s
-        self.arm = SimArm(self._world, streams.poses, now_s)
+        self.arm = SimArm(self._world, streams.poses, streams.commands, now_s)
         self.gripper = SimGripper(self._world, now_s)
         self.force_torque = SimForceTorque(streams.samples, now_s)
         self.tactile: Mapping[Finger, SimTactile] = {

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from backend.devices.motion import CommandedMotion, replaced_fault, stopped_fault
 from backend.devices.protocols import GripStatus
 from backend.devices.sim.connection import Connection, SimDevice
-from backend.devices.sim.motion import SimMotion, replaced_fault, stopped_fault
 from backend.simulation.world import World
 
 WIDTH_NOISE_MM = 0.01
@@ -26,7 +26,7 @@ class SimGripper(SimDevice):
             np.random.PCG64(np.random.SeedSequence([world.scene.seed, 6]))
         )
         self._lock = threading.Lock()
-        self._motion: SimMotion | None = None
+        self._motion: CommandedMotion | None = None
         self._status = GripStatus(world.jaws.width_mm, 0.0, False)
 
     def close(self) -> None:
@@ -43,23 +43,23 @@ class SimGripper(SimDevice):
         """Return what was measured in the last cycle."""
         return self._status
 
-    def grip(self, force_n: float) -> SimMotion:
+    def grip(self, force_n: float) -> CommandedMotion:
         """Close until the piece is held with ``force_n`` per finger."""
         self._connection.require_ready()
         if not 0.0 < force_n < float("inf"):
             raise ValueError("the grip force must be positive")
         with self._lock:
             self._world.jaws.close(force_n)
-            return self._take(SimMotion({"force_n": force_n}))
+            return self._take(CommandedMotion({"force_n": force_n}))
 
-    def open_to(self, width_mm: float, speed_mm_s: float) -> SimMotion:
+    def open_to(self, width_mm: float, speed_mm_s: float) -> CommandedMotion:
         """Open to ``width_mm``; a held piece is let go."""
         self._connection.require_ready()
         if not (0.0 <= width_mm < float("inf") and 0.0 < speed_mm_s < float("inf")):
             raise ValueError("width and speed must be finite, the speed positive")
         with self._lock:
             self._world.jaws.open_to(width_mm, speed_mm_s)
-            return self._take(SimMotion({"width_mm": width_mm, "speed_mm_s": speed_mm_s}))
+            return self._take(CommandedMotion({"width_mm": width_mm, "speed_mm_s": speed_mm_s}))
 
     def stop(self) -> None:
         """Stop where it is; the grip is kept."""
@@ -82,7 +82,7 @@ class SimGripper(SimDevice):
                 self._motion.end()
                 self._motion = None
 
-    def _take(self, motion: SimMotion) -> SimMotion:
+    def _take(self, motion: CommandedMotion) -> CommandedMotion:
         if self._motion is not None:
             self._motion.end(replaced_fault(self.name))
         self._motion = motion

@@ -1,46 +1,14 @@
-"""Commands in progress on simulated devices."""
+"""A press in progress on the simulated arm."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from backend.core.faults import Fault, FaultError
+from backend.devices.motion import CommandedMotion
 from backend.simulation.arm import Press
 
 
-class SimMotion:
-    """Ends once, well or with a fault; ``sent`` is what really went out."""
-
-    def __init__(self, sent: Mapping[str, float]) -> None:
-        self._sent = dict(sent)
-        self._done = False
-        self._fault: Fault | None = None
-
-    @property
-    def done(self) -> bool:
-        """Whether it ended."""
-        return self._done
-
-    @property
-    def sent(self) -> Mapping[str, float]:
-        """What was sent, after limits."""
-        return self._sent
-
-    def result(self) -> None:
-        """Return if it ended well; raise the fault if not; ValueError while under way."""
-        if not self._done:
-            raise ValueError("the motion is still under way")
-        if self._fault is not None:
-            raise FaultError(self._fault)
-
-    def end(self, fault: Fault | None = None) -> None:
-        """End; only the first ending counts."""
-        if not self._done:
-            self._fault = fault
-            self._done = True
-
-
-class SimPressMotion(SimMotion):
+class SimPressMotion(CommandedMotion):
     """A press with its contact times."""
 
     def __init__(self, sent: Mapping[str, float], press: Press) -> None:
@@ -56,25 +24,3 @@ class SimPressMotion(SimMotion):
     def onset_s(self) -> float | None:
         """Back-dated time of first contact."""
         return self._press.onset_s
-
-
-def stopped_fault(device: str) -> Fault:
-    """Return the fault of a motion that was stopped."""
-    return Fault(
-        "STOPPED",
-        "The motion was stopped.",
-        "The device stands still; the gripper was not opened.",
-        "Look at the bench, then press Reset.",
-        device,
-    )
-
-
-def replaced_fault(device: str) -> Fault:
-    """Return the fault of a motion that another command took the place of."""
-    return Fault(
-        "REPLACED",
-        "Another command took the place of this motion.",
-        "The device follows the newer command.",
-        "Wait for a motion to end before the next command.",
-        device,
-    )

@@ -3,16 +3,36 @@
 import numpy as np
 import pytest
 
-from backend.config.hardware import DynpickSettings, ForceTorqueSettings
-from backend.devices.force_torque.dynpick_samples import DynpickSamples
+from backend.config.hardware import ForceTorqueSettings, HardwareSettings
+from backend.devices.force_torque.dynpick import PERIOD_S, DynpickLanguage
+from backend.devices.force_torque.readout import Readout
 from backend.wire.dynpick import Record, encode_record
 
 ZERO = 0x2000
 PER_UNIT = (100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0)
 
 
-def samples(**mounting):
-    return DynpickSamples(DynpickSettings(), ForceTorqueSettings(**mounting), PER_UNIT)
+class Samples:
+    """Language and readout of one connection, without a wire."""
+
+    def __init__(self, **mounting):
+        settings = HardwareSettings.model_validate({"dynpick": {"sensitivity": PER_UNIT}})
+        self.language = DynpickLanguage(settings, "")
+        self.readout = Readout(ForceTorqueSettings(**mounting), PERIOD_S)
+
+    def accept(self, arrival_s, data):
+        return self.readout.accept(arrival_s, self.language.take(data))
+
+    @property
+    def lost(self):
+        return self.readout.lost
+
+    @property
+    def overload(self):
+        return self.readout.overload
+
+
+samples = Samples
 
 
 def stream(*loads, tick=0):

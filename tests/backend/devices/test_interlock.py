@@ -130,3 +130,13 @@ def test_a_fault_latches_once_per_device_and_stops() -> None:
 def test_limits_must_be_finite() -> None:
     with pytest.raises(ValueError, match="speed_mm_s"):
         Interlock(Limits(speed_mm_s=math.nan))
+
+
+def test_the_override_keeps_its_range_and_starts_at_full_speed() -> None:
+    interlock = Interlock()
+    assert interlock.override == 1.0
+    interlock.override_speed(0.1)
+    for share in (0.09, 1.01, math.nan):
+        with pytest.raises(RefusedError, match="OVERRIDE"):
+            interlock.override_speed(share)
+    assert interlock.override == 0.1

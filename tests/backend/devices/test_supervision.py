@@ -10,7 +10,8 @@ from backend.core.stream import SampleStream, Stream
 from backend.devices.interlock import Interlock
 from backend.devices.supervision import GRACE_S, Supervision
 
-IMAGE = np.zeros((240, 320, 3), dtype=np.uint8)
+IMAGES = np.random.default_rng(5).integers(0, 2, (8, 240, 320, 3), dtype=np.uint8)
+"""Pictures of the least noise: one grey level."""
 
 
 class Watched:
@@ -24,7 +25,9 @@ class Watched:
         self.supervision.begin(0.0)
         self.now_s, self.sequence = 0.0, 0
 
-    def run(self, seconds: float, value: float | None = 0.0, silent: str = "") -> None:
+    def run(
+        self, seconds: float, value: float | None = 0.0, silent: str = "", frozen: str = ""
+    ) -> None:
         for _ in range(round(seconds / 0.02)):
             t_s = self.now_s + 0.001 * np.arange(1, 21)
             self.now_s += 0.02
@@ -36,7 +39,8 @@ class Watched:
             if self.sequence % 2:
                 for finger in FINGERS:
                     if finger != silent:
-                        frame = TactileFrame(finger, self.sequence, self.now_s, IMAGE)
+                        image = IMAGES[0 if finger == frozen else self.sequence // 2 % len(IMAGES)]
+                        frame = TactileFrame(finger, self.sequence, self.now_s, image.copy())
                         self.frames[finger].put(self.now_s, frame)
             self.supervision.check(self.now_s)
 
@@ -58,6 +62,26 @@ def test_a_silent_camera_is_named_after_half_a_second(finger: str) -> None:
     assert not bench.interlock.latched
     bench.run(0.12, silent=finger)
     assert bench.codes() == [("CAMERA-STALE", f"tactile_{finger}")]
+
+
+@pytest.mark.parametrize("finger", FINGERS)
+def test_the_third_equal_picture_is_a_frozen_camera(finger: str) -> None:
+    bench = Watched()
+    bench.run(2.0)
+    bench.run(0.04, frozen=finger)
+    bench.run(0.04)
+    bench.run(0.08, frozen=finger)
+    assert not bench.interlock.latched
+    bench.run(0.04, frozen=finger)
+    assert bench.codes() == [("CAMERA-FROZEN", f"tactile_{finger}")]
+
+
+def test_a_camera_is_not_taken_for_frozen_across_scenes() -> None:
+    bench = Watched()
+    bench.run(0.08, frozen="left")
+    bench.supervision.begin(bench.now_s)
+    bench.run(0.08, frozen="left")
+    assert not bench.interlock.latched
 
 
 @pytest.mark.parametrize("value", [None, float("nan"), float("inf")])

@@ -1,0 +1,230 @@
+"""The driver of one tactile camera: one thread reads, one makes pictures; the newest wins."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from backend.config.hardware import GelsightSettings
+from backend.core.faults import Fault, FaultError
+from backend.core.flow import Finger, ImageArray, TactileFrame
+from backend.core.stream import Stream
+from backend.devices.cameras.faults import dark_fault, frozen_fault, link_fault
+from backend.devices.cameras.finding import find_cameras
+from backend.devices.cameras.newest import Newest
+from backend.devices.cameras.picture import decode, fit
+from backend.devices.cameras.sources import Source, open_source
+from backend.devices.protocols import DeviceState, Health, Identity
+from backend.wire.framing import WireError
+
+CAPACITY = 256
+READ_S = 0.05
+TAKE_S = 0.1
+JOIN_S = 1.0
+EQUAL_INVALID, EQUAL_FAULT = 3, 10
+"""So many equal pictures in a row are no measurement; so many mean that the camera hangs."""
+DARK_S = 3.0
+STALE_S = 0.12
+RATE_WINDOW_S = 1.0
+RETRY_S = (0.5, 1.0, 1.5)
+Captured: TypeAlias = tuple[float, int, bytes | ImageArray]
+
+
+class TactileCamera:
+    """``finger`` of ``settings``; pictures are stamped by ``now_s`` when they arrive."""
+
+    def __init__(
+        self,
+        finger: Finger,
+        settings: GelsightSettings,
+        now_s: Callable[[], float],
+        frames: Stream[TactileFrame] | None = None,
+        open_camera: Callable[[Path, GelsightSettings], Source] = open_source,
+    ) -> None:
+        self.finger: Finger = finger
+        self.name = f"tactile_{finger}"
+        self._settings = settings
+        self._own = settings.left if finger == "left" else settings.right
+        self._now_s, self._open_camera = now_s, open_camera
+        self._frames = frames or Stream(self.name, CAPACITY)
+        self._newest: Newest[Captured] = Newest()
+        self._stop, self._first = threading.Event(), threading.Event()
+        self._threads: list[threading.Thread] = []
+        self._state = DeviceState.CLOSED
+        self._identity: Identity | None = None
+        self._facts: Mapping[str, float] = {}
+        self._arrivals: deque[float] = deque(maxlen=512)
+        self._received = self._invalid = self._damaged = self.reopened = 0
+        self.fault: Fault | None = None
+
+    @property
+    def state(self) -> DeviceState:
+        """Where the connection is in its life; FAULT while the camera is gone or hangs."""
+        return self._state
+
+    @property
+    def identity(self) -> Identity | None:
+        """Known once connected."""
+        return self._identity
+
+    @property
+    def frames(self) -> Stream[TactileFrame]:
+        """Pictures as they arrive."""
+        return self._frames
+
+    @property
+    def health(self) -> Health:
+        """Delivered pictures per second, age of the newest, counts; lost: never delivered."""
+        now_s, arrivals = self._now_s(), list(self._arrivals)
+        newest_s = arrivals[-1] if arrivals else float("-inf")
+        rate_hz = sum(t > now_s - RATE_WINDOW_S for t in arrivals) / RATE_WINDOW_S
+        lost = self._damaged + self._invalid + self._newest.skipped
+        return Health(rate_hz, now_s - newest_s, self._received, lost)
+
+    def describe(self) -> Mapping[str, str | float]:
+        """Return condition, scale, and what the camera answered to format and controls."""
+        stale = self._state is DeviceState.READY and self.health.age_s > STALE_S
+        return {
+            "kind": self._identity.model if self._identity else "GelSight Mini",
+            "condition": "stale" if stale else self._state.value,
+            "mm_per_px_x": self._settings.mm_per_px_x,
+            "mm_per_px_y": self._settings.mm_per_px_y,
+            "invalid": self._invalid,
+            "skipped": self._newest.skipped,
+            "reopened": self.reopened,
+            **self._facts,
+        }
+
+    def connect(self, timeout_s: float, cancel: threading.Event) -> None:
+        """Find the camera by its number, open it, wait for the first bright picture."""
+        if self._state is DeviceState.READY:
+            return
+        self.close()
+        self._state, self.fault = DeviceState.CONNECTING, None
+        self._stop, self._first, self._newest = threading.Event(), threading.Event(), Newest()
+        self._received = self._invalid = self._damaged = self.reopened = 0
+        self._arrivals.clear()
+        targets = (self._watch, self._deliver)
+        self._threads = [
+            threading.Thread(target=run, args=(self._stop,), name=self.name, daemon=True)
+            for run in targets
+        ]
+        for thread in self._threads:
+            thread.start()
+        end_s = self._now_s() + timeout_s
+        while not self._first.wait(READ_S):
+            if cancel.is_set() or self._now_s() > end_s:
+                why = "Connecting was cancelled." if cancel.is_set() else "No picture comes."
+                self.close()
+                raise FaultError(self._why or link_fault(self.name, why))
+
+    def close(self) -> None:
+        """Stop reading and release the camera; one that blocks is left to end by itself."""
+        self._stop.set()
+        for thread in self._threads:
+            thread.join(JOIN_S)
+        self._threads = []
+        self._state = DeviceState.CLOSED
+
+    def find(self) -> Path:
+        """Return where the camera is now; raises ``FaultError``."""
+        if self._own.file:
+            self._identity = Identity("", "video file", Path(self._own.file).name, "")
+            return Path(self._own.file)
+        folders = self._settings.by_id, self._settings.names, self._settings.nodes
+        found = {camera.serial: camera.path for camera in find_cameras(*map(Path, folders))}
+        if self._own.serial not in found:
+            there = ", ".join(found) or "none"
+            what = f"No camera with the number '{self._own.serial}' is plugged in (there: {there})."
+            raise FaultError(link_fault(self.name, what))
+        self._identity = Identity("GelSight", "GelSight Mini", self._own.serial, "")
+        return found[self._own.serial]
+
+    def _watch(self, stop: threading.Event) -> None:
+        """Own the camera; take it again, and only this one, whenever it was lost."""
+        tries = sequence = 0
+        while not stop.is_set():
+            try:
+                source = self._open_camera(self.find(), self._settings)
+            except (OSError, FaultError) as error:
+                what = error.fault if isinstance(error, FaultError) else None
+                self._fail(what or link_fault(self.name, f"The camera cannot be opened: {error}."))
+                stop.wait(RETRY_S[min(tries, len(RETRY_S) - 1)])
+                tries += 1
+                continue
+            self._facts = source.facts
+            try:
+                sequence = self._read(source, sequence, stop)
+            except OSError as error:
+                self._fail(link_fault(self.name, f"The camera is lost: {error}."))
+            finally:
+                source.close()
+            self.reopened += not stop.is_set()
+            tries = 0
+
+    def _read(self, source: Source, sequence: int, stop: threading.Event) -> int:
+        """Read until told to stop or the camera falls silent; return the next number."""
+        heard_s, damaged = self._now_s(), self._damaged
+        while not stop.is_set():
+            content = source.read(READ_S)
+            now_s, self._damaged = self._now_s(), damaged + source.lost
+            if content is not None:
+                heard_s = now_s
+                self._newest.put((now_s, sequence, content))
+                sequence += 1
+            elif now_s - heard_s > self._settings.silence_s:
+                raise OSError(f"no picture for {now_s - heard_s:.1f} s")
+        return sequence
+
+    def _deliver(self, stop: threading.Event) -> None:
+        """Make pictures of what was read and hand them on, unless they are none."""
+        last: bytes = b""
+        equal, dark_since_s = 0, self._now_s()
+        while not stop.is_set():
+            taken = self._newest.take(TAKE_S)
+            if taken is None:
+                continue
+            t_s, sequence, content = taken
+            raw = content if isinstance(content, bytes) else content.tobytes()
+            equal = equal + 1 if raw == last else 0
+            last = raw
+            image = None if equal + 1 >= EQUAL_INVALID else self._image(content)
+            if equal + 1 == EQUAL_FAULT:
+                self._fail(frozen_fault(self.name))
+            if image is None:
+                self._invalid += 1
+            elif self._first.is_set() or float(np.mean(image)) >= self._settings.darkest_mean:
+                self._hand_on(TactileFrame(self.finger, sequence, t_s, image))
+            elif t_s - dark_since_s > DARK_S:
+                self._fail(dark_fault(self.name))
+
+    def _image(self, content: bytes | ImageArray) -> ImageArray | None:
+        crop = self._own.crop_fraction
+        crop = self._settings.crop_fraction if crop is None else crop
+        try:
+            whole = decode(content, crop) if isinstance(content, bytes) else content
+            return fit(whole, crop, self._own.mirror)
+        except WireError:
+            return None
+
+    def _hand_on(self, frame: TactileFrame) -> None:
+        self._frames.put(frame.t_s, frame)
+        self._received += 1
+        self._arrivals.append(frame.t_s)
+        self.fault = None
+        self._state = DeviceState.READY
+        self._first.set()
+
+    @property
+    def _why(self) -> Fault | None:
+        return self.fault
+
+    def _fail(self, fault: Fault) -> None:
+        self.fault = fault
+        if self._first.is_set():
+            self._state = DeviceState.FAULT

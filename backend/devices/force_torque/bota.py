@@ -1,0 +1,99 @@
+"""How to speak to a Bota SensONE or Rokubi: configured by text, its own microseconds count."""
+
+from __future__ import annotations
+
+import threading
+
+from backend.config.hardware import HardwareSettings
+from backend.devices.force_torque.language import (
+    Greeting,
+    NotAnsweredError,
+    Reading,
+    Refusals,
+    ask,
+    listen,
+    pause,
+)
+from backend.devices.force_torque.links import Link
+from backend.devices.protocols import Identity
+from backend.wire import bota
+from backend.wire.bota import SINC_STEP_S, Boot, Frame, Reply, Request, Status
+
+WAKE_S = 10.0
+PAUSE_S = 0.5
+ANSWER_S = 1.0
+TIMESTAMP_TURN = 1 << 32
+LONGEST_GAP = 10_000
+"""Samples; a larger step of the timestamp is a restart of the sensor, not a loss."""
+
+
+class BotaLanguage:
+    """Losses follow from the timestamps of the sensor."""
+
+    baud = 460_800
+    chunk = 2 * bota.FRAME_BYTES
+
+    def __init__(self, settings: HardwareSettings, address: str) -> None:
+        self._settings, self._address = settings.bota, address
+        self._period_s = settings.bota.sinc * SINC_STEP_S
+        self._decoder = bota.incoming()
+        self._last_us: int | None = None
+
+    def start(self, link: Link, cancel: threading.Event) -> Greeting:
+        """Wait for the boot text or two frames; configure; run."""
+        frames = 0
+
+        def awake(data: bytes) -> bool | None:
+            nonlocal frames
+            for message in self._decoder.feed(data):
+                frames += isinstance(message, Frame)
+                if isinstance(message, Boot):
+                    return True
+            return True if frames >= 2 else None
+
+        if listen(link, cancel, WAKE_S, awake) is None:
+            raise NotAnsweredError("The sensor sends nothing")
+        pause(cancel, PAUSE_S)
+        link.drain()
+        self._decoder.reset()
+        self._ask(link, cancel, Request("C"))
+        self._ask(link, cancel, Request("c", (0, 1, 0, bota.BAUD_CODES[self.baud])))
+        self._ask(link, cancel, Request("f", (self._settings.sinc, 0, 0, 1)))
+        self._ask(link, cancel, Request("R"))
+        self._last_us = None
+        identity = Identity("Bota Systems", "SensONE", self._address, "")
+        return Greeting(identity, self._settings.rated, self._period_s)
+
+    def take(self, data: bytes) -> list[Reading]:
+        """Return the samples; what the sensor marks invalid is NaN."""
+        frames = (m for m in self._decoder.feed(data) if isinstance(m, Frame))
+        return [self._reading(frame) for frame in frames]
+
+    @property
+    def refusals(self) -> Refusals:
+        """Frames that were none."""
+        decoder = self._decoder
+        return Refusals(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
+
+    def stop(self, link: Link) -> None:
+        """Leave the sensor in configuration mode, which is quiet."""
+        link.write(bota.encode(Request("C")))
+
+    def _ask(self, link: Link, cancel: threading.Event, request: Request) -> None:
+        def find(data: bytes) -> Reply | None:
+            replies = (m for m in self._decoder.feed(data) if isinstance(m, Reply))
+            return next((reply for reply in replies if reply.command == request.command), None)
+
+        reply = ask(link, cancel, bota.encode(request), find, limit_s=ANSWER_S)
+        if reply.code != 0:
+            raise NotAnsweredError(f"The sensor refuses '{request.command}' ({reply.code})")
+
+    def _reading(self, frame: Frame) -> Reading:
+        missed, last_us = 0, self._last_us
+        self._last_us = frame.timestamp_us
+        if last_us is not None:
+            gap_us = (frame.timestamp_us - last_us) % TIMESTAMP_TURN
+            steps = round(1e-6 * gap_us / self._period_s)
+            missed = steps - 1 if 1 <= steps <= LONGEST_GAP else 0
+        trouble = "The sensor sends raw counts" if frame.status & Status.RAW else ""
+        return Reading(frame.wrench(), missed, bool(frame.status & Status.OVER_RANGE), trouble)

@@ -1,0 +1,221 @@
+"""The driver of every wrist sensor on a wire: one thread owns the link, a language the bytes."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from backend.config.hardware import ForceTorqueSettings
+from backend.core.faults import Fault, FaultError
+from backend.core.flow import FloatArray
+from backend.core.stream import SampleStream
+from backend.devices.force_torque.faults import NAME, OVERLOAD, link_fault, sensor_fault
+from backend.devices.force_torque.language import Greeting, Language, NotAnsweredError
+from backend.devices.force_torque.links import Link
+from backend.devices.force_torque.readout import Readout
+from backend.devices.protocols import DeviceState, Health, Identity
+from backend.wire.framing import WireError
+
+READ_S = 0.005
+"""Longest wait for bytes: short enough for stamps, long enough not to spin."""
+BAD_LIMIT = 20
+RATE_WINDOW_S = 1.0
+STALE_S = 0.1
+SLOW_SHARE = 0.5
+CAPACITY = 32_768
+WIRE_TROUBLE = (OSError, WireError, NotAnsweredError)
+
+
+class ForceTorqueReader:
+    """``language`` makes one for each connection; samples are stamped by ``now_s``."""
+
+    name = NAME
+
+    def __init__(
+        self,
+        language: Callable[[], Language],
+        open_link: Callable[[Language], Link],
+        settings: ForceTorqueSettings,
+        now_s: Callable[[], float],
+        samples: SampleStream | None = None,
+    ) -> None:
+        self._new_language, self._open_link = language, open_link
+        self._settings, self._now_s = settings, now_s
+        self._samples = samples or SampleStream(self.name, 6, CAPACITY)
+        self._thread: threading.Thread | None = None
+        self._stop, self._first = threading.Event(), threading.Event()
+        self._lock = threading.Lock()
+        self._state = DeviceState.CLOSED
+        self._greeting: Greeting | None = None
+        self._readout = Readout(settings, 1.0)
+        self._received = self._resynchronised = 0
+        self._arrivals: deque[tuple[float, int]] = deque(maxlen=8192)
+        self.fault: Fault | None = None
+
+    @property
+    def state(self) -> DeviceState:
+        """Where the connection is in its life."""
+        return self._state
+
+    @property
+    def identity(self) -> Identity | None:
+        """Known once connected."""
+        return self._greeting.identity if self._greeting else None
+
+    @property
+    def samples(self) -> SampleStream:
+        """Fx Fy Fz Tx Ty Tz in N and N·m, tool axes; NaN where there is no measurement."""
+        return self._samples
+
+    @property
+    def rated(self) -> FloatArray:
+        """(6,) rated range, N and N·m; NaN before the first connection."""
+        return np.array(self._greeting.rated if self._greeting else [np.nan] * 6)
+
+    @property
+    def health(self) -> Health:
+        """Rate over the last second, age of the newest sample, counts."""
+        now_s, arrivals = self._now_s(), list(self._arrivals)
+        newest_s = arrivals[-1][0] if arrivals else float("-inf")
+        rate_hz = sum(n for t, n in arrivals if t > now_s - RATE_WINDOW_S) / RATE_WINDOW_S
+        return Health(rate_hz, now_s - newest_s, self._received, self._readout.lost)
+
+    @property
+    def resynchronised(self) -> int:
+        """How often the reader found its place again after bytes that were no frame."""
+        return self._resynchronised
+
+    @property
+    def condition(self) -> str:
+        """One word: good, slow, stuck, stale; fault or closed by the state."""
+        if self._state is not DeviceState.READY:
+            return str(self._state.value)
+        health = self.health
+        if health.age_s > STALE_S:
+            return "stale"
+        if self._readout.stuck:
+            return "stuck"
+        settled = health.received * self._readout.period_s > RATE_WINDOW_S
+        slow = health.rate_hz * self._readout.period_s < SLOW_SHARE
+        return "slow" if settled and slow else "good"
+
+    def describe(self) -> Mapping[str, str | float]:
+        """Return make, range, losses and condition."""
+        rated, identity = self.rated, self.identity
+        return {
+            "kind": identity.model if identity else self._settings.driver,
+            "number": identity.serial if identity else "",
+            "condition": self.condition,
+            "lost": self._readout.lost,
+            "resynchronised": self._resynchronised,
+            "rated_n": float(rated[2]),
+            "rated_nm": float(rated[5]),
+        }
+
+    def connect(self, timeout_s: float, cancel: threading.Event) -> None:
+        """Bring the sensor to streaming and wait for the first sample."""
+        if self._state is DeviceState.READY:
+            return
+        self.close()
+        self._state, self.fault = DeviceState.CONNECTING, None
+        try:
+            link, language = self._begin(cancel)
+            self._start(link, language)
+            if not self._first.wait(timeout_s):
+                raise FaultError(link_fault("The sensor sends nothing."))
+            self._require_link()
+        except FaultError:
+            self.close()
+            raise
+        self._settle()
+
+    def close(self) -> None:
+        """Stop the stream and let go of the link."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+        self._state = DeviceState.CLOSED
+
+    def _settle(self) -> None:
+        with self._lock:
+            self._state = DeviceState.READY if self.fault is None else DeviceState.FAULT
+
+    def _require_link(self) -> None:
+        if self._stop.is_set() and self.fault is not None:
+            raise FaultError(self.fault)
+
+    def _begin(self, cancel: threading.Event) -> tuple[Link, Language]:
+        """Open the link and start the sensor; the link is closed again if that fails."""
+        language = self._new_language()
+        try:
+            link = self._open_link(language)
+        except OSError as error:
+            raise FaultError(link_fault(f"The port cannot be opened: {error}.")) from error
+        try:
+            self._greeting = language.start(link, cancel)
+        except WIRE_TROUBLE as error:
+            link.close()
+            raise FaultError(link_fault(f"{error}.")) from error
+        except BaseException:
+            link.close()
+            raise
+        return link, language
+
+    def _start(self, link: Link, language: Language) -> None:
+        period_s = self._greeting.period_s if self._greeting else 1.0
+        self._readout = Readout(self._settings, period_s)
+        self._stop.clear()
+        self._first.clear()
+        self._received = self._resynchronised = 0
+        self._arrivals.clear()
+        self._thread = threading.Thread(
+            target=self._read, args=(link, language), name=self.name, daemon=True
+        )
+        self._thread.start()
+
+    def _read(self, link: Link, language: Language) -> None:
+        """Own the link until told to stop or it is lost; leave a silent sensor behind."""
+        good_s, discarded = self._now_s(), language.refusals.discarded
+        try:
+            while not self._stop.is_set():
+                data = link.read(READ_S)
+                now_s = self._now_s()
+                if self._deliver(language, now_s, data):
+                    good_s, before = now_s, discarded
+                    discarded = language.refusals.discarded
+                    self._resynchronised += discarded > before
+                if self._first.is_set() and now_s - good_s > self._settings.silence_s:
+                    self._fail("The sensor has fallen silent.")
+                elif language.refusals.in_a_row >= BAD_LIMIT:
+                    self._fail("The sensor sends nothing that can be read.")
+            language.stop(link)
+        except OSError as error:
+            self._fail(f"The port is lost: {error}.")
+        finally:
+            link.close()
+
+    def _deliver(self, language: Language, now_s: float, data: bytes) -> bool:
+        readout = self._readout
+        stamps, values = readout.accept(now_s, language.take(data))
+        if not len(stamps):
+            return False
+        self._samples.put(stamps, values)
+        self._received += len(stamps)
+        self._arrivals.append((now_s, len(stamps)))
+        if self.fault is None and (readout.overload or readout.trouble):
+            self._latch(OVERLOAD if readout.overload else sensor_fault(readout.trouble))
+        self._first.set()
+        return True
+
+    def _fail(self, what: str) -> None:
+        self._stop.set()
+        self._latch(link_fault(what))
+        self._first.set()
+
+    def _latch(self, fault: Fault) -> None:
+        with self._lock:
+            self.fault, self._state = fault, DeviceState.FAULT

@@ -1,0 +1,67 @@
+"""From the readings of a sensor to stamped wrenches in tool axes; what is no measurement is NaN."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from backend.config.hardware import ForceTorqueSettings
+from backend.core.flow import FloatArray
+from backend.devices.force_torque.language import Reading
+from backend.wire.wrench import NO_WRENCH, Wrench
+
+
+class Readout:
+    """Counts what is missing and notices a stuck sensor; the caller owns the clock.
+
+    ``stuck``: the newest ``stuck_after`` samples or more are equal to the last digit, which no
+    living sensor is. ``overload`` and ``trouble`` stay once they have been seen.
+    """
+
+    def __init__(self, settings: ForceTorqueSettings, period_s: float) -> None:
+        self._settings, self.period_s = settings, period_s
+        self._turn = settings.sign * np.array(settings.rotation)
+        self._newest_s = -np.inf
+        self._last: Wrench | None = None
+        self._equal = 0
+        self.lost = 0
+        self.overload = False
+        self.trouble = ""
+
+    @property
+    def stuck(self) -> bool:
+        """Whether the sensor repeats itself."""
+        return self._equal + 1 >= self._settings.stuck_after
+
+    def accept(
+        self, arrival_s: float, readings: Sequence[Reading]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return stamps (n,) and wrenches (n, 6), N and N·m in tool axes.
+
+        The newest is stamped ``arrival_s`` less the latency; those that came with it lie before it
+        by the counter of the sensor.
+        """
+        values = np.array([self._value(reading) for reading in readings]).reshape(-1, 6)
+        return self._stamps(arrival_s - 1e-3 * self._settings.latency_ms, readings), values
+
+    def _value(self, reading: Reading) -> FloatArray:
+        self.lost += reading.missed
+        self.overload |= reading.overload
+        self.trouble = self.trouble or reading.trouble
+        self._equal = self._equal + 1 if reading.wrench == self._last else 0
+        self._last = reading.wrench
+        valid = not (reading.overload or reading.trouble or self.stuck)
+        wrench = reading.wrench if valid else NO_WRENCH
+        return np.concatenate([self._turn @ wrench.force_n, self._turn @ wrench.torque_nm])
+
+    def _stamps(self, arrival_s: float, readings: Sequence[Reading]) -> FloatArray:
+        if not readings:
+            return np.empty(0)
+        later = [reading.missed + 1 for reading in readings[1:]]
+        behind = np.concatenate([np.cumsum(later[::-1])[::-1], [0]])
+        stamps = arrival_s - self.period_s * behind
+        if stamps[0] <= self._newest_s:
+            stamps = np.linspace(self._newest_s, arrival_s, len(readings) + 1)[1:]
+        self._newest_s = float(stamps[-1])
+        return np.asarray(stamps, dtype=np.float64)

@@ -1,0 +1,345 @@
+"""The arm as a device: straight moves, jogging, compliant presses, streamed by this computer.
+
+Start-up, errors and STOP go over the command channel, every motion over the real-time stream.
+``stop`` is out of band: it joins nothing and waits for no lock that a wire could hold.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from backend.config.hardware import MelfaSettings
+from backend.core.faults import Fault, FaultError
+from backend.core.flow import FloatArray, Pose
+from backend.core.stream import SampleStream
+from backend.devices.melfa.console import Console
+from backend.devices.melfa.link_faults import NOTHING_MOVED, link_fault
+from backend.devices.melfa.motion import ARM, STOPPED, ArmPress
+from backend.devices.melfa.orders import Orders
+from backend.devices.melfa.stream import END, Inbox, Phase, StreamCore
+from backend.devices.melfa.watch import Watch
+from backend.devices.melfa.wires import Wires
+from backend.devices.motion import CommandedMotion
+from backend.devices.protocols import (
+    ArmStatus,
+    DeviceState,
+    Health,
+    Identity,
+    PressCommand,
+    RobotMode,
+    SafetyMode,
+)
+from backend.wire.melfa_r3_answers import Run
+
+RATE_WINDOW_S = 1.0
+WAIT_S = 0.02
+OPEN_S = 5.0
+
+
+class MelfaArm:
+    """``wrench``: the untared samples of the wrist sensor, in the axes of the bench."""
+
+    name = ARM
+
+    def __init__(
+        self,
+        wires: Wires,
+        wrench: SampleStream,
+        settings: MelfaSettings,
+        now_s: Callable[[], float],
+        poses: SampleStream | None = None,
+    ) -> None:
+        self._wires, self._settings, self._now_s = wires, settings, now_s
+        self._wrench, self._wrench_cursor = wrench, 0
+        self._poses = poses or SampleStream(ARM, 3, 32_768)
+        self._orders = Orders(settings)
+        self._core = StreamCore(settings, self._orders.placing)
+        self._watch: Watch | None = None
+        self._stopped = threading.Event()
+        self._console = Console(wires, settings, self._stopped.is_set)
+        self._lock = threading.Lock()
+        self._state = DeviceState.CLOSED
+        self._identity: Identity | None = None
+        self._received = 0
+        self._arrivals: deque[float] = deque(maxlen=512)
+        self.fault: Fault | None = None
+
+    # -- connection -------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> DeviceState:
+        """Where the connection is in its life."""
+        return self._state
+
+    @property
+    def identity(self) -> Identity | None:
+        """Known once connected; the controller tells no number, so its address stands for it."""
+        return self._identity
+
+    @property
+    def poses(self) -> SampleStream:
+        """Measured position of ``G``, mm in the bench, once per cycle."""
+        return self._poses
+
+    @property
+    def health(self) -> Health:
+        """Rate of measured positions over the last second, age of the newest, counts."""
+        now_s = self._now_s()
+        with self._lock:
+            arrivals, counts = list(self._arrivals), self._core.replies.counts
+            received = self._received
+            lost = counts.refused + counts.skipped
+        newest_s = arrivals[-1] if arrivals else float("-inf")
+        rate_hz = sum(t_s > now_s - RATE_WINDOW_S for t_s in arrivals) / RATE_WINDOW_S
+        return Health(rate_hz, now_s - newest_s, received, lost)
+
+    def describe(self) -> Mapping[str, str | float]:
+        """Return the commanded place and the counts of the link."""
+        counts, times = self._core.replies.counts, self._wires.times
+        x, y, z = self._core.command_mm.tolist()
+        return {
+            "kind": "melfa",
+            "host": self._settings.host,
+            "stream": self._core.phase.value,
+            "x_mm": x,
+            "y_mm": y,
+            "z_mm": z,
+            "holds": self._core.holds,
+            "refused": counts.refused,
+            "repeated": counts.repeated,
+            "old": counts.old,
+            "skipped": counts.skipped,
+            "controller_missed": self._core.timeouts,
+            "bad_replies": self._wires.bad_replies,
+            "late_cycles": times.late,
+            "latest_ms": 1e3 * times.latest_s,
+            "realtime": "yes" if times.realtime else "no",
+            "time_limit": "none" if self._console.unlimited else "set",
+        }
+
+    def connect(self, timeout_s: float, cancel: threading.Event) -> None:
+        """Go through the start-up to an open stream; ``timeout_s`` is the least for each step."""
+        if self._state is DeviceState.READY:
+            return
+        self.close()
+        self._state, self.fault = DeviceState.CONNECTING, None
+        self._stopped.clear()
+        self._console = Console(
+            self._wires, self._settings, lambda: cancel.is_set() or self._stopped.is_set()
+        )
+        self._received = 0
+        self._arrivals.clear()
+        try:
+            self._wires.open(self._cycle, self._lost)
+            self._identity = self._console.start_up()
+            self._open_stream()
+        except FaultError as error:
+            self._give_up()
+            raise FaultError(self._latched() or error.fault) from error
+        # What was measured on the way up belongs to no connection yet.
+        self._poses.clear()
+        with self._lock:
+            ready = self._latched() is None
+            self._state = DeviceState.READY if ready else DeviceState.FAULT
+
+    def close(self) -> None:
+        """Brake, end the stream, stop, switch the servo off; the gripper stays as it is."""
+        if self._state is DeviceState.CLOSED:
+            return
+        with self._lock:
+            self._core.halt()
+        self._wires.pause(0.1)
+        self._give_up()
+
+    def _give_up(self) -> None:
+        with self._lock:
+            self._core.stop()
+        self._wires.pause(WAIT_S)
+        with contextlib.suppress(FaultError):
+            self._console.shut_down()
+        self._watch = None
+        self._wires.close()
+        self._state = DeviceState.CLOSED
+
+    def _open_stream(self) -> None:
+        """Take the place that the running program replies; raises ``FaultError``."""
+        placing, euler = self._orders.placing, self._settings.euler
+        with self._lock:
+            self._watch = Watch(self._wires.ask, placing, euler)
+            self._wrench_cursor = self._wrench.count
+            self._core.begin(self._now_s())
+        waited_s = 0.0
+        while self._core.phase is not Phase.OPEN:
+            self._wires.pause(WAIT_S)
+            waited_s += WAIT_S
+            if self.fault is not None:
+                raise FaultError(self.fault)
+            if self._stopped.is_set():
+                raise FaultError(STOPPED)
+            if waited_s > OPEN_S + self._settings.mxt.start_timeout_s:
+                raise FaultError(link_fault("The real-time stream does not open."))
+
+    # -- one cycle, on the thread that owns the real-time wire ------------------------------------
+
+    def _cycle(self, now_s: float, datagrams: tuple[bytes, ...]) -> bytes | None:
+        with self._lock:
+            samples = self._wrench.since(self._wrench_cursor)
+            self._wrench_cursor = samples.cursor
+            inbox = Inbox(datagrams, samples.t_s, samples.values[:, :3])
+            out = self._core.step(now_s, inbox)
+            if out.pose_mm is not None:
+                self._put(now_s, out.pose_mm)
+            if self._watch is not None:
+                self._supervise(now_s, self._watch)
+            if out.fault is not None:
+                self._latch(out.fault)
+        if out.fault is not None:
+            self._wires.stop_now(END)
+        return out.packet
+
+    def _supervise(self, now_s: float, watch: Watch) -> None:
+        streaming = self._core.phase in (Phase.OPEN, Phase.HOLDING)
+        watch.step(now_s, streaming=streaming)
+        if watch.place_mm is not None:
+            self._put(now_s, watch.place_mm)
+            watch.place_mm = None
+        if watch.fault is not None:
+            self._core.stop(watch.fault)
+            self._latch(watch.fault)
+            watch.fault = None
+
+    def _put(self, now_s: float, pose_mm: FloatArray) -> None:
+        self._poses.put(np.array([now_s]), pose_mm[None])
+        self._received += 1
+        self._arrivals.append(now_s)
+
+    def _latched(self) -> Fault | None:
+        return self.fault
+
+    def _latch(self, fault: Fault) -> None:
+        """Keep the first fault, unless the controller's own reason comes after a silence."""
+        if self.fault is None or self.fault.code in ("MXT-LOST", "MXT-ENDED"):
+            self.fault = fault
+        self._state = DeviceState.FAULT
+
+    def _lost(self, fault: Fault) -> None:
+        with self._lock:
+            self._core.stop(fault)
+            self._latch(fault)
+
+    # -- state ------------------------------------------------------------------------------------
+
+    def status(self) -> ArmStatus:
+        """Return the status words."""
+        if self._state is DeviceState.CLOSED:
+            return ArmStatus(RobotMode.DISCONNECTED, SafetyMode.UNKNOWN, 0.0, 0)
+        state = None if self._watch is None else self._watch.state
+        override = 0.0 if state is None else state.override / 100.0
+        error = 0 if state is None else state.error
+        if self._state is DeviceState.CONNECTING:
+            return ArmStatus(RobotMode.CONNECTING, SafetyMode.UNKNOWN, override, error)
+        safety = SafetyMode.NORMAL
+        if self._state is DeviceState.FAULT:
+            stopped = self.fault is not None and self.fault.code == "HW-STOP"
+            safety = SafetyMode.HW_STOP if stopped else SafetyMode.FAULT
+        mode = RobotMode.READY
+        if state is not None and Run.SERVO_ON not in state.run:
+            mode = RobotMode.SERVO_OFF
+        elif self._orders.under_way(self._core):
+            mode = RobotMode.MOVING
+        return ArmStatus(mode, safety, override, error)
+
+    def pose(self, max_age_s: float) -> Pose:
+        """Return the measured pose; raises ``StaleSampleError`` if it is older."""
+        _, values = self._poses.latest(self._now_s(), max_age_s)
+        x, y, z = values.tolist()
+        return Pose(x, y, z)
+
+    # -- motion -----------------------------------------------------------------------------------
+
+    @property
+    def rotates(self) -> bool:
+        """Never yet: the hand points straight down."""
+        return False
+
+    def move_to(self, target: Pose, speed_mm_s: float) -> CommandedMotion:
+        """Move straight to ``target``; raises ValueError for a rotation or a senseless number."""
+        if (target.rx_rad, target.ry_rad, target.rz_rad) != (0.0, 0.0, 0.0):
+            raise ValueError("the hand keeps its orientation")
+        goal = np.array([target.x_mm, target.y_mm, target.z_mm])
+        if not (np.isfinite(goal).all() and 0.0 < speed_mm_s < float("inf")):
+            raise ValueError("target and speed must be finite, the speed positive")
+        self._require_stream()
+        with self._lock:
+            return self._orders.travel(self._core, goal, speed_mm_s)
+
+    def jog(self, velocity_mm_s: tuple[float, float, float], for_s: float) -> CommandedMotion:
+        """Follow a velocity for ``for_s``; a renewal goes on without a jerk."""
+        velocity = np.array(velocity_mm_s)
+        if not (np.isfinite(velocity).all() and 0.0 < for_s < float("inf")):
+            raise ValueError("velocity and time must be finite, the time positive")
+        self._require_stream()
+        with self._lock:
+            return self._orders.jog(self._core, velocity, self._now_s() + for_s)
+
+    def press(self, command: PressCommand) -> ArmPress:
+        """Press compliantly from here straight down."""
+        self._require_stream()
+        now_s = self._now_s()
+        air = self._wrench.window(now_s - 1.0, now_s)
+        finite = np.isfinite(air.values).all(axis=1)
+        t_s, force_n = air.t_s[finite], air.values[finite, :3]
+        if not len(t_s):
+            raise FaultError(NO_WRENCH)
+        with self._lock:
+            return self._orders.press(self._core, command, (t_s, force_n))
+
+    def unload(self, force_n: float, speed_mm_s: float) -> CommandedMotion:
+        """Rise until the press force is ``force_n``."""
+        self._require_stream()
+        with self._lock:
+            return self._orders.unload(self._core, force_n, speed_mm_s)
+
+    def halt(self) -> None:
+        """Brake and stand still; the stream goes on."""
+        with self._lock:
+            self._core.halt()
+
+    def stop(self) -> None:
+        """End the stream and stop the controller on a connection of its own."""
+        self._stopped.set()
+        with self._lock:
+            self._core.stop()
+        if self._state is not DeviceState.CLOSED:
+            self._wires.stop_now(END)
+            self._wires.pace(running=False)
+
+    def _require_stream(self) -> None:
+        """Raise ``FaultError`` unless ready; after a stop the stream is opened again."""
+        if self._state is not DeviceState.READY:
+            raise FaultError(self.fault or NOT_CONNECTED)
+        if self._core.phase is not Phase.OPEN:
+            self._stopped.clear()
+            self._console.run_stream()
+            self._open_stream()
+
+
+NOT_CONNECTED = Fault(
+    "NOT-CONNECTED",
+    "The device 'arm' is not connected.",
+    NOTHING_MOVED,
+    "Connect the device first.",
+    ARM,
+)
+NO_WRENCH = Fault(
+    "FT-STALE",
+    "No force was measured within the last second.",
+    NOTHING_MOVED,
+    "Check the force/torque sensor, then press again.",
+    ARM,
+)

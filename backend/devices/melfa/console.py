@@ -1,0 +1,138 @@
+"""The order of start-up and shutdown over the command channel, and what is asked meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from backend.config.hardware import MelfaSettings
+from backend.core.faults import FaultError
+from backend.devices.melfa.link_faults import (
+    controller_fault,
+    link_fault,
+    other_arm_fault,
+    unlimited_fault,
+)
+from backend.devices.melfa.wires import Wires
+from backend.devices.protocols import Identity
+from backend.wire.framing import WireError
+from backend.wire.melfa_r3 import Request
+from backend.wire.melfa_r3_answers import (
+    Run,
+    State,
+    read_error,
+    read_opened,
+    read_parameter,
+    read_state,
+)
+
+POLL_S = 0.1
+ANSWER_S = 1.0
+RUN_S = 5.0
+CLIENT = "TOUCHDOWN"
+"""How this program calls itself to the controller."""
+
+
+class Console:
+    """Speaks to one controller; every refusal is a ``FaultError`` with its number."""
+
+    def __init__(
+        self, wires: Wires, settings: MelfaSettings, cancelled: Callable[[], bool]
+    ) -> None:
+        self._wires, self._settings, self._cancelled = wires, settings, cancelled
+        self.unlimited = False
+        """Whether the controller would wait for packets for ever, and that was allowed."""
+
+    def ask(self, command: str, argument: str = "", timeout_s: float = ANSWER_S) -> str:
+        """Send one request and return its answer."""
+        ticket = self._wires.ask(Request(command, argument), timeout_s)
+        self._wires.finish(ticket)
+        return ticket.answer
+
+    def state(self) -> State:
+        """Return the state of the controller."""
+        return read_state(self.ask("STATE"))
+
+    # -- start-up ---------------------------------------------------------------------------------
+
+    def start_up(self) -> Identity:
+        """Go from an open wire to a running real-time program; raises ``FaultError``."""
+        try:
+            identity = self._identify()
+            self._require_no_error()
+            self._require_time_limit()
+            self._go_on()
+            self._servo_on()
+            self._go_on()
+            self.run_stream()
+        except WireError as error:
+            fault = link_fault(f"The controller does not answer as it should: {error}.")
+            raise FaultError(fault) from error
+        return identity
+
+    def run_stream(self) -> None:
+        """Start the controller's program that opens the stream, and wait until it runs."""
+        if Run.RUNNING in self.state().run:
+            # Of a connection that broke: it is ended, never taken over.
+            self.ask("STOP")
+            self._wait_for_end()
+        self.ask("SLOTINIT")
+        self._wires.pace(running=True)
+        self.ask("RUN", f"{self._settings.mxt.program};1")
+        self._poll(Run.RUNNING, RUN_S, "The real-time program does not start.")
+
+    def _go_on(self) -> None:
+        if self._cancelled():
+            raise FaultError(link_fault("Connecting was cancelled."))
+
+    def _identify(self) -> Identity:
+        opened = read_opened(self.ask("OPEN=", CLIENT))
+        wanted = self._settings.robot_type
+        if not opened.robot_type.startswith(wanted):
+            raise FaultError(other_arm_fault(opened.robot_type, wanted))
+        return Identity("Mitsubishi", opened.robot_type, self._settings.host, opened.version)
+
+    def _require_no_error(self) -> None:
+        found, _ = read_error(self.ask("ERROR"))
+        if found:
+            raise FaultError(controller_fault(found, self.ask("ERRORMES", str(found))))
+
+    def _require_time_limit(self) -> None:
+        try:
+            _, value, _ = read_parameter(self.ask("PAR", "MXTTOUT"))
+        except FaultError:
+            value = "-1"
+        self.unlimited = not value.isdecimal()
+        if self.unlimited and not self._settings.mxt.allow_unlimited:
+            raise FaultError(unlimited_fault())
+
+    def _servo_on(self) -> None:
+        self.ask("CNTL", "ON")
+        self.ask("OVRD=", str(self._settings.override_start))
+        self.ask("SRV", "ON")
+        self._poll(Run.SERVO_ON, self._settings.servo_timeout_s, "The servo does not come on.")
+
+    def _poll(self, bit: Run, limit_s: float, what: str) -> None:
+        waited_s = 0.0
+        while bit not in self.state().run:
+            self._go_on()
+            if waited_s >= limit_s:
+                raise FaultError(link_fault(what))
+            self._wires.pause(POLL_S)
+            waited_s += POLL_S
+
+    # -- shutdown ---------------------------------------------------------------------------------
+
+    def shut_down(self) -> None:
+        """Stop, wait until nothing runs, switch off, give the right back; the stream has ended."""
+        self.ask("STOP")
+        self._wait_for_end()
+        self.ask("SRV", "OFF")
+        self.ask("CNTL", "OFF")
+        self.ask("CLOSE")
+
+    def _wait_for_end(self) -> None:
+        waited_s = 0.0
+        while Run.RUNNING in self.state().run and waited_s < RUN_S:
+            self._wires.pause(POLL_S)
+            waited_s += POLL_S
+        self._wires.pace(running=False)

@@ -1,0 +1,138 @@
+"""Where the hand is for six joints, and back: closed form, for a hand that points straight down.
+
+The arm has no offsets and a spherical wrist. The posture is Right, Above, NonFlip throughout.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from backend.core.faults import RefusedError
+from backend.core.flow import FloatArray
+from backend.wire.melfa_joints import FLANGE_MM, JOINTS
+
+SHOULDER_MM = JOINTS[1].rise_mm
+UPPER_MM = JOINTS[2].rise_mm
+FORE_MM = JOINTS[4].rise_mm
+LIMITS_RAD = np.array([joint.limit_rad for joint in JOINTS])
+STEPS_RAD = np.array([joint.step_rad for joint in JOINTS])
+
+
+def turn_y(angle_rad: float) -> FloatArray:
+    """Return the (3, 3) rotation about y."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def turn_z(angle_rad: float) -> FloatArray:
+    """Return the (3, 3) rotation about z."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def turn_x(angle_rad: float) -> FloatArray:
+    """Return the (3, 3) rotation about x."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def hand_of(a_rad: float, b_rad: float, c_rad: float, euler: str) -> FloatArray:
+    """Return the rotation (3, 3) that A, B, C mean; ``euler`` as in the settings."""
+    x, y, z = turn_x(a_rad), turn_y(b_rad), turn_z(c_rad)
+    return np.asarray(z @ y @ x if euler.startswith("Rz") else x @ y @ z)
+
+
+def flange(joints_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return position (3,) mm and rotation (3, 3) of the flange in the base for (6,) joints."""
+    q1, q2, q3, q4, q5, q6 = joints_rad.tolist()
+    fore = turn_z(q1) @ turn_y(q2 + q3)
+    hand = fore @ turn_z(q4) @ turn_y(q5) @ turn_z(q6)
+    elbow = turn_z(q1) @ turn_y(q2) @ np.array([0.0, 0.0, UPPER_MM])
+    wrist = np.array([0.0, 0.0, SHOULDER_MM]) + elbow + FORE_MM * fore[:, 2]
+    return wrist + FLANGE_MM * hand[:, 2], hand
+
+
+def joints_for(position_mm: FloatArray, hand: FloatArray, near_rad: FloatArray) -> FloatArray:
+    """Return the (6,) joints for a flange place; J1, J4 and J6 in the turn nearest ``near_rad``.
+
+    Raises ``RefusedError`` REACH where there is none, SINGULAR where it is not unique.
+    """
+    wrist = position_mm - FLANGE_MM * hand[:, 2]
+    across, up = math.hypot(wrist[0], wrist[1]), float(wrist[2]) - SHOULDER_MM
+    bend = (across**2 + up**2 - UPPER_MM**2 - FORE_MM**2) / (2.0 * UPPER_MM * FORE_MM)
+    if not abs(bend) < 1.0:
+        raise RefusedError("REACH", "The arm is too short for this place.")
+    if not across > 1.0:
+        raise RefusedError("SINGULAR", "The wrist is over the axis of J1.")
+    q1, q3 = math.atan2(wrist[1], wrist[0]), math.acos(bend)
+    q2 = math.atan2(across, up) - math.atan2(
+        FORE_MM * math.sin(q3), UPPER_MM + FORE_MM * math.cos(q3)
+    )
+    rest = (turn_z(q1) @ turn_y(q2 + q3)).T @ hand
+    q5 = math.acos(min(max(float(rest[2, 2]), -1.0), 1.0))
+    if not abs(math.sin(q5)) > 1e-6:
+        raise RefusedError("SINGULAR", "J4 and J6 are in line.")
+    q4 = math.atan2(rest[1, 2], rest[0, 2])
+    q6 = math.atan2(rest[2, 1], -rest[2, 0])
+    found = np.array([q1, q2, q3, q4, q5, q6])
+    turns = np.zeros(6)
+    turns[[0, 3, 5]] = np.round((near_rad - found)[[0, 3, 5]] / (2.0 * math.pi))
+    return np.asarray(found + 2.0 * math.pi * turns)
+
+
+@dataclass(frozen=True, slots=True)
+class Placing:
+    """Where the bench stands in the base of the arm, and how long the tool is.
+
+    ``origin_mm``: bench origin in the base. ``yaw_rad``: turn of the bench about z.
+    ``hand_rad``: turn of the flange's x against that of the bench, about z (half a turn leaves J6
+    in the middle of its range). ``tool_mm``: from the flange down to the grasp pivot ``G``.
+    """
+
+    origin_mm: tuple[float, float, float]
+    yaw_rad: float
+    hand_rad: float
+    tool_mm: float
+
+    @property
+    def hand(self) -> FloatArray:
+        """Rotation (3, 3) of the flange in the base: z down."""
+        return np.asarray(turn_z(self.yaw_rad + self.hand_rad) @ np.diag([1.0, -1.0, -1.0]))
+
+    def joints(self, pivot_mm: FloatArray, near_rad: FloatArray) -> FloatArray:
+        """Return the (6,) joints that put ``G`` at (3,) mm of the bench, hand down."""
+        at = np.array(self.origin_mm) + turn_z(self.yaw_rad) @ pivot_mm
+        hand = self.hand
+        return joints_for(at - self.tool_mm * hand[:, 2], hand, near_rad)
+
+    def pivot_mm(self, joints_rad: FloatArray) -> FloatArray:
+        """Return where ``G`` is in the bench, (3,) mm."""
+        # Three times per cycle: written out, as small arrays would take ten times as long.
+        q1, q2, q3, q4, q5, _ = joints_rad.tolist()
+        lean, tilt = q2 + q3, math.sin(q5)
+        sine, cosine = math.sin(lean), math.cos(lean)
+        x, y, z = math.cos(q4) * tilt, math.sin(q4) * tilt, math.cos(q5)
+        reach = FLANGE_MM + self.tool_mm
+        out = UPPER_MM * math.sin(q2) + FORE_MM * sine + reach * (cosine * x + sine * z)
+        aside = reach * y
+        up = SHOULDER_MM + UPPER_MM * math.cos(q2) + FORE_MM * cosine
+        up += reach * (cosine * z - sine * x)
+        c, s = math.cos(q1), math.sin(q1)
+        from_x = c * out - s * aside - self.origin_mm[0]
+        from_y = s * out + c * aside - self.origin_mm[1]
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        return np.array([c * from_x + s * from_y, c * from_y - s * from_x, up - self.origin_mm[2]])
+
+    def from_flange(self, position_mm: FloatArray, hand: FloatArray) -> FloatArray:
+        """Return where ``G`` is in the bench for a flange place in the base."""
+        at = position_mm + self.tool_mm * hand[:, 2]
+        return np.asarray(turn_z(-self.yaw_rad) @ (at - np.array(self.origin_mm)))
+
+    def tilt_rad(self, joints_rad: FloatArray) -> float:
+        """Return how far the flange is turned away from where it should point."""
+        _, hand = flange(joints_rad)
+        cosine = (float(np.trace(self.hand.T @ hand)) - 1.0) / 2.0
+        return math.acos(min(max(cosine, -1.0), 1.0))

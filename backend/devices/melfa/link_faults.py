@@ -1,0 +1,93 @@
+"""What can go wrong between this computer and the controller, in the operator's language."""
+
+from __future__ import annotations
+
+from backend.core.faults import Fault
+from backend.devices.melfa.motion import ARM, HELD
+from backend.wire.melfa_r3_answers import (
+    EMERGENCY_ERRORS,
+    NOT_READY_ERRORS,
+    OUT_OF_RANGE_ERRORS,
+    REJECTED_ERRORS,
+)
+
+NOTHING_MOVED = "Nothing was moved."
+
+START = Fault(
+    "MXT-START",
+    "The controller's program runs, but no real-time reply comes.",
+    NOTHING_MOVED,
+    "Check the address of this computer in the program TDMXT, and the firewall.",
+    ARM,
+)
+
+
+def lost_fault(cycles: int) -> Fault:
+    """Return the fault of a stream whose replies stayed away."""
+    return Fault(
+        "MXT-LOST",
+        f"No real-time reply for {cycles} cycles.",
+        f"The stream was ended. {HELD}",
+        "Check the cable and the load of this computer, press Reset, then connect the arm again.",
+        ARM,
+    )
+
+
+def tilted_fault(degrees: float) -> Fault:
+    """Return the fault of a hand that does not point straight down."""
+    return Fault(
+        "TILTED",
+        f"The hand is turned {degrees:.1f}° away from straight down along the bench.",
+        NOTHING_MOVED,
+        "Move it there with the teaching box, or correct melfa.yaw_deg.",
+        ARM,
+    )
+
+
+def link_fault(what: str) -> Fault:
+    """Return the fault of a command channel that is not, or no longer, there."""
+    return Fault(
+        "ARM-LINK",
+        what,
+        "The arm is not commanded.",
+        "Check cable, address and the controller's port settings, then connect the arm again.",
+        ARM,
+    )
+
+
+def controller_fault(number: int, text: str = "") -> Fault:
+    """Return the fault of an error number of the controller."""
+    said = f"The controller reports error {number}" + (f": {text}." if text else ".")
+    if number in EMERGENCY_ERRORS:
+        step = "Release the emergency stop, press Reset, then connect the arm again."
+        return Fault("HW-STOP", said, "The hardware has stopped the arm.", step, ARM)
+    code, step = "CONTROLLER", "Look at the controller, press Reset, then connect the arm again."
+    if number in OUT_OF_RANGE_ERRORS:
+        code, step = "OUT-OF-RANGE", "Move the arm back with the teaching box, then press Reset."
+    elif number in NOT_READY_ERRORS:
+        code, step = "NOT-READY", "Automatic mode? Remote operation? Servo on? Then connect again."
+    elif number in REJECTED_ERRORS:
+        code, step = "REJECTED", "Load the programs of resources/melfa into the controller."
+    return Fault(code, said, HELD, step, ARM)
+
+
+def unlimited_fault() -> Fault:
+    """Return the fault of a controller that would go on waiting for packets for ever."""
+    return Fault(
+        "MXTTOUT",
+        "The controller does not end a real-time stream that falls silent (MXTTOUT is -1).",
+        NOTHING_MOVED,
+        "Set MXTTOUT to 57 in the controller, or allow it with melfa.mxt.allow_unlimited.",
+        ARM,
+    )
+
+
+def other_arm_fault(found: str, wanted: str) -> Fault:
+    """Return the fault of another robot type at this address."""
+    return Fault(
+        "OTHER-ARM",
+        f"The controller says its arm is {found}, not {wanted}.",
+        NOTHING_MOVED,
+        "Correct the address, or melfa.robot_type in the bench file.",
+        ARM,
+    )

@@ -1,0 +1,200 @@
+"""A press: down at constant speed until contact is declared, then compliant on a ramp.
+
+The ramp counts from the back-dated onset; the reference never rises. When the motion has ended the
+arm stays compliant until the next command.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backend.core.faults import Fault
+from backend.core.flow import FloatArray
+from backend.core.onset import OnsetDetector, OnsetRule
+from backend.devices.melfa.admittance import (
+    DESIGN_N_MM,
+    SPEED_MM_S,
+    STIFF_N_MM,
+    Law,
+    Loop,
+    law_for,
+)
+from backend.devices.melfa.compliance import Compliance
+from backend.devices.melfa.motion import ARM, HELD, ArmPress
+from backend.devices.melfa.programs import ACCELERATION_MM_S2, Felt
+from backend.devices.melfa.stiffness import ContactStiffness
+from backend.devices.protocols import PressCommand
+
+AIR_S = 0.2
+RETRACT_MM, RETRACT_MM_S = 2.0, 10.0
+
+
+class Press:
+    """Holds one press. ``before``: wrench samples (n,), (n, 3) in air up to now, for the zero."""
+
+    fragile = True
+    speed_mm_s = SPEED_MM_S
+
+    def __init__(
+        self,
+        motion: ArmPress,
+        command: PressCommand,
+        law: Law,
+        loop: Loop,
+        before: tuple[FloatArray, FloatArray],
+    ) -> None:
+        self.motion, self._command = motion, command
+        self._law, self._loop = law, loop
+        self._detector = OnsetDetector(OnsetRule(threshold_n=command.threshold_n))
+        t_s, force_n = before
+        self._air_n = force_n[t_s >= t_s[-1] - AIR_S].mean(axis=0)
+        self._detector.feed(t_s, force_n[:, 2])
+        self._speed_mm_s = 0.0
+        self._start_z_mm: float | None = None
+        self._way: list[tuple[float, float]] = []
+        self._zero_mm = self._depth_mm = 0.0
+        self._rise_to_mm: float | None = None
+        self.stiffness = ContactStiffness(loop.delay_s)
+        self.compliance: Compliance | None = None
+
+    def next_mm(self, felt: Felt) -> FloatArray:
+        """Return the next command."""
+        if self.compliance is None and not self._touched(felt):
+            self.stiffness.feed(felt.now_s, float(felt.command_mm[2]), 0.0)
+            return self._descend(felt)
+        comply = self.compliance
+        assert comply is not None
+        comply.feel(felt.now_s, felt.t_s, felt.force_n)
+        self._weigh(comply, felt)
+        self._judge(comply, felt.now_s)
+        if self._rise_to_mm is not None:
+            self._retract(comply, felt)
+        elif not comply.swinging:
+            self._ramp(comply, felt)
+        return comply.command_mm(felt.now_s)
+
+    def cut(self, command_mm: FloatArray) -> None:
+        """Go on from where the command really is."""
+        if self.compliance is not None:
+            self.compliance.cut(command_mm)
+
+    def still(self) -> None:
+        """Begin the descent again from zero speed."""
+        self._speed_mm_s = 0.0
+
+    # -- before contact ---------------------------------------------------------------------------
+
+    def _touched(self, felt: Felt) -> bool:
+        """Whether contact is declared; then the arm is compliant from here on."""
+        if self._start_z_mm is None:
+            self._start_z_mm = float(felt.command_mm[2])
+        self._way.append((felt.now_s, float(felt.command_mm[2])))
+        finite = np.isfinite(felt.force_n[:, 2])
+        if finite.any():
+            self._detector.feed(felt.t_s[finite], felt.force_n[finite, 2])
+        onset_s = self._detector.onset_s
+        if onset_s is None or self.motion.done:
+            return False
+        self.motion.detected_s, self.motion.onset_s = self._detector.detected_s, onset_s
+        t_s, z_mm = zip(*self._way, strict=True)
+        # The arm was where the command had been a loop delay before, less the sensor's own part.
+        lag_s = self._loop.arm_lag_s + self._loop.cycle_s
+        self._zero_mm = float(np.interp(onset_s - lag_s, t_s, z_mm))
+        self.compliance = Compliance(self._law, self._loop, felt.command_mm, self._air_n)
+        return True
+
+    def _descend(self, felt: Felt) -> FloatArray:
+        after = felt.command_mm.copy()
+        if self.motion.done:
+            return after
+        command = self._command
+        most = self._speed_mm_s + ACCELERATION_MM_S2 * felt.cycle_s
+        self._speed_mm_s = min(command.approach_mm_s, most)
+        after[2] -= self._speed_mm_s * felt.cycle_s
+        assert self._start_z_mm is not None
+        if self._start_z_mm - after[2] > command.max_travel_mm:
+            self.motion.end(_no_contact(command.max_travel_mm))
+            return felt.command_mm
+        return after
+
+    # -- in contact -------------------------------------------------------------------------------
+
+    def _ramp(self, comply: Compliance, felt: Felt) -> None:
+        command, onset_s = self._command, self.motion.onset_s
+        assert onset_s is not None
+        elapsed_s = felt.now_s + felt.cycle_s - onset_s
+        if not self.motion.done:
+            planned_mm = command.depth_mm * min(1.0, elapsed_s / command.ramp_s)
+            gained_mm = planned_mm - self._depth_mm
+            self._depth_mm += comply.speed_share * max(gained_mm, 0.0)
+            z_mm = self._zero_mm - self._depth_mm
+            comply.reference_mm[2] = min(float(comply.reference_mm[2]), z_mm)
+        if elapsed_s >= command.hold_s:
+            self.motion.end()
+
+    def _weigh(self, comply: Compliance, felt: Felt) -> None:
+        """See how stiff the contact is, once: damp it accordingly, or draw back from it."""
+        if self.stiffness.found_n_mm is not None:
+            return
+        self.stiffness.feed(felt.now_s, float(felt.command_mm[2]), comply.press_n)
+        found_n_mm = self.stiffness.found_n_mm
+        if found_n_mm is None or found_n_mm <= DESIGN_N_MM:
+            return
+        if found_n_mm > STIFF_N_MM:
+            self._draw_back(comply, _too_stiff(found_n_mm))
+        elif not comply.swinging:
+            comply.law = law_for(self._loop, self._command.stiffness_n_mm, STIFF_N_MM)
+
+    def _judge(self, comply: Compliance, now_s: float) -> None:
+        """End the motion, and draw back if need be, on too much force or a swinging contact."""
+        if comply.tripped and self._rise_to_mm is None:
+            self._draw_back(comply, TRIPPED)
+        elif comply.swinging:
+            self.motion.end(SWINGING)
+            if self._rise_to_mm is None and comply.still_swinging(now_s):
+                self._draw_back(comply, SWINGING)
+
+    def _draw_back(self, comply: Compliance, fault: Fault) -> None:
+        self.motion.end(fault)
+        self._rise_to_mm = float(comply.reference_mm[2]) + RETRACT_MM
+
+    def _retract(self, comply: Compliance, felt: Felt) -> None:
+        assert self._rise_to_mm is not None
+        z_mm = float(comply.reference_mm[2]) + RETRACT_MM_S * felt.cycle_s
+        comply.reference_mm[2] = min(z_mm, self._rise_to_mm)
+
+
+def _no_contact(travel_mm: float) -> Fault:
+    return Fault(
+        "NO-CONTACT",
+        f"No contact on {travel_mm:.1f} mm of descent.",
+        HELD,
+        "Check the height of the support and the force/torque sensor.",
+        ARM,
+    )
+
+
+def _too_stiff(found_n_mm: float) -> Fault:
+    return Fault(
+        "CONTACT-STIFF",
+        f"The contact has {found_n_mm:.0f} N/mm: there is no gel in the path.",
+        "The arm draws back by 2 mm; the gripper was not opened.",
+        "Does the gripper itself touch the board?",
+        ARM,
+    )
+
+
+TRIPPED = Fault(
+    "FT-TRIP",
+    "The force went over the trip limit while pressing.",
+    "The arm draws back by 2 mm; the gripper was not opened.",
+    "Check the piece and the support, then press Reset.",
+    ARM,
+)
+SWINGING = Fault(
+    "CONTACT-SWINGS",
+    "The contact is stiffer than the arm can hold: the force swings.",
+    "The press is void; the arm is damped, and draws back if that does not calm it.",
+    "Is there a gel between gripper and support? Press more slowly.",
+    ARM,
+)

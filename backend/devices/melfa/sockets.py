@@ -1,0 +1,214 @@
+"""The wires of a real (or emulated) controller: one owner thread each for commands and stream.
+
+The stream wakes at absolute deadlines. A missed cycle is skipped whole, never made up.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable
+
+from backend.config.hardware import MelfaSettings
+from backend.core.faults import Fault, FaultError
+from backend.devices.melfa.claim import claim, let_go
+from backend.devices.melfa.link_faults import link_fault
+from backend.devices.melfa.r3_client import R3Client, Ticket
+from backend.devices.melfa.realtime import prefer
+from backend.devices.melfa.stream import END
+from backend.devices.melfa.wires import Cycle, CycleTimes
+from backend.wire.melfa_joints import CYCLE_S
+from backend.wire.melfa_mxt import PACKET_BYTES
+from backend.wire.melfa_r3 import Request, encode_request
+
+CONNECT_S = 3.0
+FINISH_S = 30.0
+"""Longer than any ticket waits: each ends by itself, at the latest with its wire."""
+IDLE_S = 0.005
+"""Longest sleep of the command channel between two looks at what waits."""
+RECEIVE_BUFFER = 4 * PACKET_BYTES
+"""Small: old replies must not queue."""
+MOST_DATAGRAMS = 64
+"""Read per cycle: a flood must not hold up the stream."""
+STOP_LINE = encode_request(Request("STOP")) + b"\r"
+OPEN_LINE = encode_request(Request("OPEN=", "TOUCHDOWNSTOP")) + b"\r"
+
+
+class SocketWires:
+    """``now_s`` is the bench clock, in step with ``time.monotonic``."""
+
+    def __init__(self, settings: MelfaSettings, now_s: Callable[[], float]) -> None:
+        self._settings, self._now_s = settings, now_s
+        self.times = CycleTimes()
+        self._stop = threading.Event()
+        self._threads: list[threading.Thread] = []
+        self._client = R3Client(1e-3 * settings.r3.reply_gap_ms)
+        self._client.end(link_fault("The connection is closed."))
+        self._claim: int | None = None
+        self._commands: socket.socket | None = None
+        self._lane: socket.socket | None = None
+        self._stream: socket.socket | None = None
+
+    @property
+    def bad_replies(self) -> int:
+        """Replies of the command channel that could not be read."""
+        return self._client.bad_replies
+
+    # -- life -------------------------------------------------------------------------------------
+
+    def open(self, cycle: Cycle, lost: Callable[[Fault], None]) -> None:
+        """Connect both channels and start their owners; raises ``FaultError``."""
+        self.close()
+        host, r3 = self._settings.host, self._settings.r3
+        self._claim = claim(host, r3.port)
+        try:
+            self._commands = _connected(host, r3.port)
+            self._lane = _connected(host, r3.stop_port)
+            self._lane.sendall(OPEN_LINE)
+            self._stream = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            self._stream.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+            self._stream.connect((host, self._settings.mxt.port))
+            self._stream.setblocking(False)
+        except OSError as error:
+            self.close()
+            raise FaultError(link_fault(f"The controller cannot be reached: {error}.")) from error
+        self._stop.clear()
+        self.times = CycleTimes()
+        self._client = R3Client(1e-3 * self._settings.r3.reply_gap_ms)
+        self._start("melfa commands", self._own_commands, self._commands, self._lane, lost)
+        self._start("melfa stream", self._own_stream, self._stream, cycle, lost)
+
+    def close(self) -> None:
+        """End both threads and close the sockets."""
+        self._stop.set()
+        for thread in self._threads:
+            thread.join()
+        self._threads.clear()
+        for wire in (self._commands, self._lane, self._stream):
+            if wire is not None:
+                wire.close()
+        self._commands = self._lane = self._stream = None
+        if self._claim is not None:
+            let_go(self._claim)
+            self._claim = None
+
+    def _start(self, name: str, target: Callable[..., None], *args: object) -> None:
+        thread = threading.Thread(target=target, args=args, name=name, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    # -- commands ---------------------------------------------------------------------------------
+
+    def ask(self, request: Request, timeout_s: float) -> Ticket:
+        """Send a request in its turn."""
+        return self._client.ask(request, timeout_s)
+
+    def finish(self, ticket: Ticket) -> None:
+        """Wait until the ticket has ended; it gives up by itself."""
+        ticket.wait(FINISH_S)
+
+    def pause(self, seconds: float) -> None:
+        """Let time pass; ends early when the wires close."""
+        self._stop.wait(seconds)
+
+    def pace(self, running: bool) -> None:
+        """Say whether a program of the controller runs."""
+        self._client.paced = running
+
+    def stop_now(self, packet: bytes) -> None:
+        """Send STOP on its own lane and ``packet`` on the stream, from the caller's thread."""
+        lane, stream = self._lane, self._stream
+        if stream is not None:
+            with contextlib.suppress(OSError):
+                stream.send(packet)
+        try:
+            if lane is not None:
+                lane.send(STOP_LINE)
+        except OSError:
+            # The lane is gone or full: STOP goes before all else on the other channel.
+            self._client.ask(Request("STOP"))
+
+    def _own_commands(
+        self, wire: socket.socket, lane: socket.socket, lost: Callable[[Fault], None]
+    ) -> None:
+        try:
+            while not self._stop.is_set():
+                readable, _, _ = select.select([wire, lane], [], [], IDLE_S)
+                if lane in readable and not lane.recv(4096):
+                    raise ConnectionError("the STOP lane was closed")
+                data = b""
+                if wire in readable:
+                    data = wire.recv(4096)
+                    if not data:
+                        raise ConnectionError("the controller closed the connection")
+                out = self._client.step(self._now_s(), data)
+                if out:
+                    wire.sendall(out)
+        except FaultError as error:
+            lost(error.fault)
+        except OSError as error:
+            fault = link_fault(f"The command channel is lost: {error}.")
+            self._client.end(fault)
+            lost(fault)
+        finally:
+            self._client.end(link_fault("The connection was closed."))
+
+    # -- stream -----------------------------------------------------------------------------------
+
+    def _own_stream(self, wire: socket.socket, cycle: Cycle, lost: Callable[[Fault], None]) -> None:
+        try:
+            self._keep_time(wire, cycle)
+        finally:
+            # Also where a program error ends the loop: nothing may move without its owner.
+            if not self._stop.is_set():
+                self.stop_now(END)
+                lost(link_fault("The real-time stream has ended by an error of this program."))
+
+    def _keep_time(self, wire: socket.socket, cycle: Cycle) -> None:
+        realtime = prefer(self._settings.realtime_priority)
+        deadline_s = time.monotonic() + CYCLE_S
+        wakes = late = 0
+        latest_s = 0.0
+        while not self._stop.is_set():
+            came = _drain_until(wire, deadline_s)
+            over_s = time.monotonic() - deadline_s
+            wakes += 1
+            late += over_s > CYCLE_S
+            latest_s = max(latest_s, over_s)
+            self.times = CycleTimes(wakes, late, latest_s, realtime)
+            packet = cycle(self._now_s(), tuple(came))
+            if packet is not None:
+                # A full buffer or an absent host is a lost packet: the ladder counts it.
+                with contextlib.suppress(OSError):
+                    wire.send(packet)
+            missed = int(max(time.monotonic() - deadline_s, 0.0) / CYCLE_S)
+            deadline_s += (missed + 1) * CYCLE_S
+
+
+def _connected(host: str, port: int) -> socket.socket:
+    wire = socket.create_connection((host, port), timeout=CONNECT_S)
+    wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    wire.settimeout(CONNECT_S)
+    return wire
+
+
+def _drain_until(wire: socket.socket, deadline_s: float) -> list[bytes]:
+    """Return the datagrams that come until the deadline, and all that wait then."""
+    came: list[bytes] = []
+    while len(came) < MOST_DATAGRAMS:
+        left_s = deadline_s - time.monotonic()
+        readable, _, _ = select.select([wire], [], [], max(left_s, 0.0))
+        if not readable:
+            if left_s <= 0.0:
+                return came
+            continue
+        try:
+            came.append(wire.recv(512))
+        except OSError:
+            # An ICMP refusal while the controller's program does not listen yet.
+            if left_s <= 0.0:
+                return came
+    return came

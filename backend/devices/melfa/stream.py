@@ -1,0 +1,243 @@
+"""The real-time stream as a pure machine: ``step(now, inbox) -> outbox``, once per cycle.
+
+It reads no clock and no socket. Start: packets without a command until a reply comes, then the
+replied position for ten cycles, then motion. Every command is checked before it goes out, and runs
+ahead of the last echoed one by three cycles of travel at most.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from backend.config.hardware import MelfaSettings
+from backend.core.faults import Fault, RefusedError
+from backend.core.flow import FloatArray
+from backend.devices.melfa.guard import check_joints, check_step
+from backend.devices.melfa.kinematics import Placing
+from backend.devices.melfa.ladder import Rung, rung
+from backend.devices.melfa.link_faults import START, lost_fault, tilted_fault
+from backend.devices.melfa.motion import REPLACED, STOPPED, VOID, refused_fault
+from backend.devices.melfa.programs import Felt, Follow, Program
+from backend.devices.melfa.replies import MONITORS, Echo, Replies
+from backend.devices.motion import CommandedMotion
+from backend.wire.melfa_blocks import Kind, Values
+from backend.wire.melfa_joints import CYCLE_S
+from backend.wire.melfa_mxt import Command, Request, encode_request
+
+HELD_CYCLES = 10
+END_PACKETS = 3
+LEAD_CYCLES = 3
+LEAST_LEAD_MM_S = 20.0
+TILT_RAD = math.radians(0.2)
+END = encode_request(Request(Command.END))
+NO_TIME, NO_FORCE = np.empty(0), np.empty((0, 3))
+
+
+class Phase(Enum):
+    """Where the stream is in its life."""
+
+    IDLE = "idle"
+    OPENING = "opening"
+    HOLDING = "holding"
+    OPEN = "open"
+    ENDING = "ending"
+
+
+@dataclass(frozen=True, slots=True)
+class Inbox:
+    """What came since the last step: datagrams, and wrench samples (n,), (n, 3) of force."""
+
+    datagrams: tuple[bytes, ...] = ()
+    t_s: FloatArray = field(default_factory=lambda: NO_TIME)
+    force_n: FloatArray = field(default_factory=lambda: NO_FORCE)
+
+
+@dataclass(frozen=True, slots=True)
+class Outbox:
+    """What goes out: one packet or none; where ``G`` was measured (3,); a fault that latches."""
+
+    packet: bytes | None = None
+    pose_mm: FloatArray | None = None
+    fault: Fault | None = None
+
+
+class StreamCore:
+    """One stream at a time. Not thread-safe: its owner locks."""
+
+    def __init__(self, settings: MelfaSettings, placing: Placing) -> None:
+        self._settings, self._placing = settings, placing
+        self.phase = Phase.IDLE
+        self.replies = Replies()
+        self.holds = 0
+        """How often the ladder has held the arm since the stream began."""
+        self.sent_rad = np.zeros(6)
+        """(6,) joints of the last command."""
+        self.program: Program | None = None
+        self._restart(0.0)
+
+    def _restart(self, now_s: float) -> None:
+        self.replies, self.holds = Replies(), 0
+        self.timeouts = 0
+        """Cycles without a packet, as the controller counts them."""
+        self._counter = self._missed = self._left = 0
+        self._begun_s = self._heard_s = now_s
+        self._echo_mm = self._measured_mm = np.zeros(3)
+        self.command_mm = np.zeros(3)
+        """(3,) commanded place of ``G`` in the bench."""
+        self.velocity_mm_s = np.zeros(3)
+        self._holding = False
+
+    # -- orders -----------------------------------------------------------------------------------
+
+    def begin(self, now_s: float) -> None:
+        """Ask for the stream; the program of the controller must be running."""
+        self._restart(now_s)
+        self.phase = Phase.OPENING
+
+    def run(self, program: Program) -> None:
+        """Take ``program`` in place of any other from the next cycle on."""
+        if self.program is not None and self.program is not program:
+            self.program.motion.end(REPLACED)
+        self.program = program
+
+    def halt(self) -> None:
+        """Brake and stand still; the stream goes on."""
+        if self.program is not None:
+            self.program.motion.end(STOPPED)
+            self.program = Follow(CommandedMotion({}), self.velocity_mm_s)
+
+    def stop(self, fault: Fault = STOPPED) -> None:
+        """End the stream at once: nothing but end packets goes out from here."""
+        if self.program is not None:
+            self.program.motion.end(fault)
+            self.program = None
+        if self.phase is not Phase.IDLE:
+            self.phase, self._left = Phase.ENDING, END_PACKETS
+
+    # -- one cycle --------------------------------------------------------------------------------
+
+    def step(self, now_s: float, inbox: Inbox) -> Outbox:
+        """Take what came, return what goes out; never raises."""
+        if self.phase in (Phase.IDLE, Phase.ENDING):
+            return self._quiet()
+        echo = self.replies.take(inbox.datagrams)
+        if self.phase is Phase.OPENING:
+            return self._open(now_s, echo)
+        silent_s = now_s - self._heard_s
+        if echo is None:
+            self._missed += 1
+        else:
+            # A reply that comes a cycle after the last one has not been silent at all.
+            silent_s -= CYCLE_S
+            self._missed = 0
+            self._hear(now_s, echo)
+        level = rung(self._missed, silent_s, CYCLE_S)
+        if echo is not None and level < Rung.HOLD:
+            level = Rung.GO
+        if level is Rung.FAULT:
+            cycles = max(self._missed, int(silent_s / CYCLE_S))
+            return self._fail(lost_fault(cycles))
+        self._descend_ladder(level)
+        if level is Rung.GO and self.phase is Phase.OPEN:
+            refused = self._move(now_s, inbox)
+            if refused is not None:
+                return self._fail(refused)
+        elif level is not Rung.GO:
+            self.velocity_mm_s = np.zeros(3)
+        self._settle()
+        return Outbox(self._packet(), None if echo is None else self._measured_mm)
+
+    def _quiet(self) -> Outbox:
+        if self.phase is Phase.ENDING and self._left:
+            self._left -= 1
+            return Outbox(END)
+        self.phase = Phase.IDLE
+        return Outbox()
+
+    def _open(self, now_s: float, echo: Echo | None) -> Outbox:
+        if echo is None:
+            if now_s - self._begun_s > self._settings.mxt.start_timeout_s:
+                return self._fail(START)
+            self._counter += 1
+            null = Request(Command.NONE, monitors=MONITORS, counter=self._counter)
+            return Outbox(encode_request(null))
+        tilt_rad = self._placing.tilt_rad(echo.command_rad)
+        if not tilt_rad <= TILT_RAD:
+            return self._fail(tilted_fault(math.degrees(tilt_rad)))
+        # The first command is the position that the controller itself has replied.
+        self.sent_rad = echo.command_rad
+        self.command_mm = self._placing.pivot_mm(self.sent_rad)
+        self._hear(now_s, echo)
+        self.phase, self._left = Phase.HOLDING, HELD_CYCLES
+        return Outbox(self._packet(), self._measured_mm)
+
+    def _hear(self, now_s: float, echo: Echo) -> None:
+        self._heard_s, self.timeouts = now_s, echo.timeouts
+        self._echo_mm = self._placing.pivot_mm(echo.command_rad)
+        self._measured_mm = self._placing.pivot_mm(echo.feedback_rad)
+
+    def _descend_ladder(self, level: Rung) -> None:
+        if level is not Rung.HOLD:
+            self._holding = False
+            return
+        self.holds += not self._holding
+        self._holding = True
+        if self.program is not None:
+            if self.program.fragile:
+                self.program.motion.end(VOID)
+            self.program.still()
+
+    def _settle(self) -> None:
+        if self.phase is Phase.HOLDING:
+            self._left -= 1
+            if self._left <= 0:
+                self.phase = Phase.OPEN
+
+    def _move(self, now_s: float, inbox: Inbox) -> Fault | None:
+        """Advance the program by one cycle; return a fault that ends the stream."""
+        program = self.program
+        if program is None:
+            self.velocity_mm_s = np.zeros(3)
+            return None
+        before_mm = self.command_mm
+        try:
+            felt = Felt(now_s, CYCLE_S, before_mm, self._measured_mm, inbox.t_s, inbox.force_n)
+            wanted_mm = program.next_mm(felt)
+            command_mm = self._within_lead(wanted_mm, program.speed_mm_s)
+            if command_mm is not wanted_mm:
+                program.cut(command_mm)
+            joints = self._placing.joints(command_mm, self.sent_rad)
+            check_joints(joints)
+            check_step(self.sent_rad, joints, self._settings.mxt.step_fraction)
+        except RefusedError as error:
+            program.motion.end(refused_fault(error))
+            self.program, self.velocity_mm_s = None, np.zeros(3)
+            return None
+        self.velocity_mm_s = (command_mm - before_mm) / CYCLE_S
+        self.command_mm, self.sent_rad = command_mm, joints
+        return None
+
+    def _within_lead(self, wanted_mm: FloatArray, speed_mm_s: float) -> FloatArray:
+        lead_mm = LEAD_CYCLES * CYCLE_S * max(speed_mm_s, LEAST_LEAD_MM_S)
+        ahead = wanted_mm - self._echo_mm
+        far_mm = float(np.linalg.norm(ahead))
+        if far_mm <= lead_mm:
+            return wanted_mm
+        # Standing is always allowed: a limit that pulled back would be a motion of its own.
+        cut = self._echo_mm + ahead * (lead_mm / far_mm)
+        here_mm = float(np.linalg.norm(self.command_mm - self._echo_mm))
+        return self.command_mm if here_mm > lead_mm else np.asarray(cut)
+
+    def _packet(self) -> bytes:
+        self._counter += 1
+        target = Values(Kind.JOINT, (*self.sent_rad.tolist(), 0.0, 0.0))
+        return encode_request(Request(Command.MOVE, target, MONITORS, self._counter))
+
+    def _fail(self, fault: Fault) -> Outbox:
+        self.stop(fault)
+        self._left -= 1
+        return Outbox(END, fault=fault)

@@ -1,0 +1,1 @@
+"""Driver of Weiss WSG grippers."""

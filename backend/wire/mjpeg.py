@@ -1,0 +1,83 @@
+"""Motion JPEG: whole JPEG pictures end to end, as cameras send them and pipes carry them.
+
+Source: ITU T.81 annex B (markers; FFh in picture data is always followed by 00h or a restart).
+"""
+
+from __future__ import annotations
+
+from backend.wire.framing import WireError
+
+START, END = b"\xff\xd8\xff", b"\xff\xd9"
+LONGEST = 16 << 20
+"""Bytes of one picture; what goes on longer is noise."""
+_SIZED = frozenset({0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF})
+_SCAN = 0xDA
+
+
+class JpegStream:
+    """Cuts a stream into pictures; one whose end is missing is refused at the next start."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+        self.bad_frames = self.bad_in_a_row = self.discarded = 0
+
+    @property
+    def pending(self) -> int:
+        """Bytes kept of an unfinished picture."""
+        return len(self._rest)
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take the next bytes; return the pictures they complete, oldest first."""
+        seen = max(0, len(self._rest) - 2)
+        self._rest += data
+        pictures: list[bytes] = []
+        while True:
+            begin = self._rest.find(START)
+            if begin != 0:
+                self._skip(begin if begin > 0 else max(0, len(self._rest) - 2))
+                seen = 0
+                if begin < 0:
+                    return pictures
+            again = self._rest.find(START, max(1, seen))
+            end = self._rest.find(END, max(len(START), seen))
+            if again > 0 and (end < 0 or again < end):
+                self._refuse(again)
+            elif end > 0:
+                pictures.append(self._rest[: end + 2])
+                self._rest = self._rest[end + 2 :]
+                self.bad_in_a_row = 0
+            elif len(self._rest) > LONGEST:
+                self._refuse(len(self._rest))
+            else:
+                return pictures
+            seen = 0
+
+    def reset(self) -> None:
+        """Forget the bytes of an unfinished picture; the counts stay."""
+        self._rest = b""
+
+    def _skip(self, count: int) -> None:
+        self.discarded += count
+        self._rest = self._rest[count:]
+
+    def _refuse(self, count: int) -> None:
+        self._skip(count)
+        self.bad_frames += 1
+        self.bad_in_a_row += 1
+
+
+def size_px(picture: bytes) -> tuple[int, int]:
+    """Return width and height of a JPEG from its frame header; raises ``WireError``."""
+    at = 2
+    while at + 9 <= len(picture) and picture[at] == 0xFF:
+        kind = picture[at + 1]
+        if kind == _SCAN:
+            break
+        if kind in _SIZED:
+            height = int.from_bytes(picture[at + 5 : at + 7], "big")
+            width = int.from_bytes(picture[at + 7 : at + 9], "big")
+            if width and height:
+                return width, height
+            break
+        at += 2 + max(2, int.from_bytes(picture[at + 2 : at + 4], "big"))
+    raise WireError("header", "jpeg picture", min(at, len(picture)))

@@ -1,0 +1,204 @@
+"""The camera driver against emulated cameras in a folder, and real clips through the live path."""
+
+import sys
+import threading
+import time
+from itertools import islice, pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from backend.config.hardware import GelsightSettings
+from backend.core.faults import FaultError
+from backend.core.flow import MARKERS, MarkerState
+from backend.core.stream import SampleStream, Stream
+from backend.devices.cameras.driver import TactileCamera
+from backend.devices.cameras.sources import FileSource
+from backend.devices.protocols import DeviceState
+from backend.emulators.faults import Faults
+from backend.emulators.gelsight import GelsightFront
+from backend.sensing.live import LiveSensing, RawStreams
+from backend.sensing.pictures import read_pictures
+from tests.backend.devices.waiting import until
+
+CLIP = Path(__file__).parents[3] / "data" / "gelsight" / "plug_3D_exp3_camera_2.avi"
+RATE_HZ = 100.0
+SERIALS = {"left": "2D8Y-69GR", "right": "AAAA-1111"}
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="named pipes")
+
+
+def numbered(seed):
+    """Bright pictures, each of its own kind."""
+    rng = np.random.default_rng(seed)
+    base = 40 + 60 * seed
+
+    def seen(now_s):
+        noise = rng.integers(0, 40, (30, 40, 3))
+        return np.asarray(np.kron(base + noise, np.ones((8, 8, 1))), dtype=np.uint8)
+
+    return seen
+
+
+class Cameras:
+    """Two emulated cameras in one folder, and the settings that find them."""
+
+    def __init__(self, folder):
+        self.fronts = {}
+        for seed, (finger, serial) in enumerate(SERIALS.items()):
+            faults = Faults(f"tactile_{finger}")
+            front = GelsightFront(numbered(seed), folder, serial, rate_hz=RATE_HZ, faults=faults)
+            self.fronts[finger] = front
+            front.start()
+        places = {name: str(folder / where) for name, where in PLACES.items()}
+        fingers = {finger: {"serial": serial} for finger, serial in SERIALS.items()}
+        content = {**places, **fingers, "crop_fraction": 0.0, "silence_s": 0.3}
+        self.settings = GelsightSettings.model_validate(content)
+        self.driver = TactileCamera("left", self.settings, time.monotonic)
+
+    def connect(self):
+        self.driver.connect(5.0, threading.Event())
+
+    def close(self):
+        self.driver.close()
+        for front in self.fronts.values():
+            front.close()
+
+
+PLACES = {"by_id": "by-id", "names": "names", "nodes": "nodes"}
+
+
+@pytest.fixture
+def cameras(tmp_path):
+    made = Cameras(tmp_path)
+    yield made
+    made.close()
+
+
+def more(driver, count):
+    begin = driver.frames.count
+    until(lambda: driver.frames.count >= begin + count)
+    return driver.frames.since(begin)[0]
+
+
+def test_it_delivers_the_pictures_of_its_own_camera_in_order(cameras):
+    cameras.connect()
+    driver = cameras.driver
+    assert driver.state is DeviceState.READY
+    assert driver.identity.serial == SERIALS["left"]
+    frames = more(driver, 10)
+    assert {frame.image.shape for frame in frames} == {(240, 320, 3)}
+    assert np.all(np.diff([frame.sequence for frame in frames]) >= 1)
+    assert np.all(np.diff([frame.t_s for frame in frames]) > 0)
+    assert all(40 <= frame.image.mean() <= 80 for frame in frames)
+    with pytest.raises(ValueError, match="read-only"):
+        frames[0].image[0, 0, 0] = 1
+    assert driver.health.received >= 10
+    assert all(isinstance(value, str | float | int) for value in driver.describe().values())
+
+
+def test_a_replugged_camera_is_found_on_its_new_node_and_no_other_taken(cameras):
+    cameras.connect()
+    before = cameras.driver.find().resolve()
+    cameras.fronts["left"].inject("unplug", 0.5)
+    until(lambda: cameras.driver.state is DeviceState.FAULT)
+    assert cameras.driver.fault.code == "CAMERA-LINK"
+    until(lambda: cameras.driver.state is DeviceState.READY)
+    assert cameras.driver.find().resolve() != before
+    assert cameras.driver.reopened == 1
+    assert all(40 <= frame.image.mean() <= 80 for frame in more(cameras.driver, 3))
+
+
+def test_a_frozen_picture_is_not_delivered_and_soon_a_fault(cameras):
+    cameras.connect()
+    cameras.fronts["left"].inject("freeze")
+    until(lambda: cameras.driver.fault is not None)
+    assert cameras.driver.fault.code == "CAMERA-FROZEN"
+    frames, _, _ = cameras.driver.frames.since(0)
+    runs = [np.array_equal(a.image, b.image) for a, b in pairwise(frames)]
+    assert sum(runs) <= 1
+    cameras.fronts["left"].faults.clear()
+    until(lambda: cameras.driver.state is DeviceState.READY)
+    assert cameras.driver.fault is None
+
+
+def test_damaged_pictures_are_left_out_and_counted(cameras):
+    cameras.connect()
+    cameras.fronts["left"].inject("cut", 0.3, share=0.5)
+    until(lambda: not cameras.fronts["left"].faults.names(time.monotonic()))
+    assert all(40 <= frame.image.mean() <= 80 for frame in more(cameras.driver, 5))
+    assert cameras.driver.state is DeviceState.READY
+    assert cameras.driver.health.lost > 0
+
+
+def test_dark_pictures_at_the_start_are_dropped(cameras):
+    cameras.fronts["left"].inject("dark", 0.2)
+    cameras.connect()
+    frames, _, _ = cameras.driver.frames.since(0)
+    assert frames[0].image.mean() > cameras.settings.darkest_mean
+
+
+def test_a_camera_that_is_not_there_is_named_with_those_that_are(cameras):
+    settings = cameras.settings.model_copy(
+        update={"left": cameras.settings.left.model_copy(update={"serial": "ZZZZ-0000"})}
+    )
+    driver = TactileCamera("left", settings, time.monotonic)
+    with pytest.raises(FaultError, match=r"'ZZZZ-0000'.*2D8Y-69GR, AAAA-1111"):
+        driver.connect(0.2, threading.Event())
+    assert driver.state is DeviceState.CLOSED
+
+
+def test_connecting_can_be_cancelled(cameras):
+    cancel = threading.Event()
+    cancel.set()
+    cameras.fronts["left"].inject("silent")
+    with pytest.raises(FaultError, match="cancelled"):
+        cameras.driver.connect(5.0, cancel)
+
+
+class Blocking:
+    """A camera whose read does not come back until the test lets it."""
+
+    def __init__(self):
+        self.facts, self.lost = {}, 0
+        self.let_go = threading.Event()
+
+    def read(self, limit_s):
+        self.let_go.wait(20.0)
+
+    def close(self):
+        pass
+
+
+def test_a_read_that_blocks_holds_up_neither_connect_nor_close(tmp_path):
+    source = Blocking()
+    settings = GelsightSettings.model_validate({"left": {"file": str(tmp_path)}})
+    driver = TactileCamera("left", settings, time.monotonic, open_camera=lambda *_: source)
+    begun_s = time.monotonic()
+    with pytest.raises(FaultError, match="No picture"):
+        driver.connect(0.1, threading.Event())
+    assert time.monotonic() - begun_s < 10.0
+    source.let_go.set()
+
+
+def test_a_real_clip_goes_through_the_live_path_to_all_markers():
+    settings = GelsightSettings.model_validate({"left": {"file": str(CLIP), "crop_fraction": 0.0}})
+    frames = {"left": Stream("tactile_left", 256), "right": Stream("tactile_right", 256)}
+    fields = {finger: Stream(finger, 256) for finger in frames}
+    driver = TactileCamera(
+        "left", settings, time.monotonic, frames["left"], lambda path, _: FileSource(path, 200.0)
+    )
+    poses, wrench = SampleStream("arm", 3, 8), SampleStream("wrench", 6, 8)
+    raw = RawStreams(frames, SampleStream("force_torque", 6, 8), poses)
+    live = LiveSensing(raw, fields, wrench, np.zeros(6))
+    driver.connect(5.0, threading.Event())
+    until(lambda: frames["left"].count >= 30)
+    driver.close()
+    live.update()
+    tracked, _, _ = fields["left"].since(0)
+    assert len(tracked) == frames["left"].count
+    seen = np.mean([(field.state == MarkerState.SEEN).sum() for field in tracked])
+    assert seen > 0.95 * MARKERS
+    whole = {frame.sequence: frame.image for frame in islice(read_pictures(CLIP), 200)}
+    for frame in frames["left"].since(0)[0]:
+        assert np.array_equal(frame.image, whole[frame.sequence])

@@ -1,0 +1,179 @@
+"""Compliant presses on an emulated arm against springs: onset, force, swing, trip, unloading."""
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from backend.core.faults import FaultError, RefusedError
+from backend.devices.melfa.admittance import damping
+from backend.devices.melfa.stiffness import ContactStiffness
+from backend.devices.melfa.swing import SwingDetector
+from backend.devices.protocols import PressCommand
+from tests.backend.devices.emulated_arm import Rig
+
+TOUCH_MM = 59.0
+PRESS = PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 3.0, (30.0, 30.0, 15.0))
+
+
+def ready(stiffness_n_mm, noise_n=0.1):
+    rig = Rig()
+    rig.noise_n = noise_n
+    rig.contact = lambda pivot: np.array([0, 0, stiffness_n_mm * max(TOUCH_MM - pivot[2], 0.0)])
+    rig.arm.connect(1.0, threading.Event())
+    rig.rest(0.7)
+    return rig
+
+
+def finish(rig, motion, limit_s=6.0):
+    for _ in range(round(limit_s / 0.0035)):
+        if motion.done:
+            return
+        rig.wires.advance(3500)
+    raise AssertionError("the motion does not end")
+
+
+@pytest.mark.parametrize("stiffness_n_mm", [3.0, 8.0])
+def test_a_press_counts_from_first_touch_and_holds_the_force_of_springs_in_series(stiffness_n_mm):
+    rig = ready(stiffness_n_mm)
+    motion = rig.arm.press(PRESS)
+    finish(rig, motion)
+    motion.result()
+    press = rig.arm.poses.window(0.0, rig.wires.clock.now_s())
+    touched_mm = float(np.interp(motion.onset_s, press.t_s, press.values[:, 2]))
+    assert touched_mm == pytest.approx(TOUCH_MM, abs=0.1)
+    steady_n = 1.5 * 15.0 * stiffness_n_mm / (15.0 + stiffness_n_mm)
+    force_n = stiffness_n_mm * (TOUCH_MM - rig.true_mm[2])
+    assert force_n == pytest.approx(steady_n, abs=0.15)
+    assert rig.wrench.since(0).values[:, 2].max() < steady_n * 1.08 + 0.5
+    unload = rig.arm.unload(1.0, 2.0)
+    finish(rig, unload)
+    unload.result()
+    rig.rest(0.2)
+    assert 0.3 <= stiffness_n_mm * (TOUCH_MM - rig.true_mm[2]) <= 2.0
+
+
+def test_a_contact_that_is_too_stiff_is_found_and_calmed():
+    """Ten times the stiffness that the damping is made for."""
+    rig = ready(300.0)
+    motion = rig.arm.press(PRESS)
+    finish(rig, motion)
+    with pytest.raises(FaultError) as raised:
+        motion.result()
+    assert raised.value.fault.code == "CONTACT-SWINGS"
+    found_s = rig.wires.clock.now_s() - motion.onset_s
+    assert found_s <= 12.0 * rig.arm._orders.loop.delay_s
+    assert rig.wrench.since(0).values[:, 2].max() < 40.0
+    rig.rest(1.0)
+    felt = rig.wrench.window(rig.wires.clock.now_s() - 0.3, rig.wires.clock.now_s()).values[:, 2]
+    assert np.ptp(felt) < 2.0
+
+
+def test_a_force_over_the_trip_draws_the_arm_back():
+    rig = ready(8.0)
+    motion = rig.arm.press(PRESS)
+    rig.rest(1.2)
+    assert motion.onset_s is not None
+    height = rig.true_mm[2]
+    rig.contact = lambda pivot: np.array([0.0, 0.0, 45.0 if pivot[2] < height + 1.0 else 0.0])
+    finish(rig, motion)
+    with pytest.raises(FaultError) as raised:
+        motion.result()
+    assert raised.value.fault.code == "FT-TRIP"
+    rig.rest(1.0)
+    assert rig.true_mm[2] > height + 1.0
+
+
+@pytest.mark.parametrize("stiffness_n_mm", [25.0, 60.0])
+def test_the_stiffness_of_the_contact_is_found_and_damped_for(stiffness_n_mm):
+    rig = ready(stiffness_n_mm)
+    motion = rig.arm.press(PRESS)
+    finish(rig, motion)
+    motion.result()
+    press = rig.arm._orders._press
+    assert press.stiffness.found_n_mm == pytest.approx(stiffness_n_mm, rel=0.15)
+    designed = 100.0 if stiffness_n_mm > 30.0 else 30.0
+    wanted = damping(rig.arm._orders.loop.delay_s, designed)
+    assert press.compliance.law.damping == pytest.approx(wanted)
+    steady_n = 1.5 * 15.0 * stiffness_n_mm / (15.0 + stiffness_n_mm)
+    assert stiffness_n_mm * (TOUCH_MM - rig.true_mm[2]) == pytest.approx(steady_n, abs=0.25)
+
+
+def slope_of(stiffness_n_mm):
+    """A contact seen as it is commanded: the force answers 20 ms later."""
+    seen = ContactStiffness(0.020)
+    for k in range(600):
+        t_s = 0.0035 * k
+        seen.feed(t_s, -0.001 * k, max(0.0, stiffness_n_mm * 0.001 * (t_s - 0.020) / 0.0035))
+    return seen.found_n_mm
+
+
+def test_the_slope_is_that_of_the_spring():
+    assert slope_of(200.0) == pytest.approx(200.0, rel=1e-3)
+    assert slope_of(9.0) == pytest.approx(9.0, rel=1e-3)
+    assert slope_of(8.0) is None
+
+
+def test_a_contact_without_a_gel_is_drawn_back_from():
+    rig = ready(150.0)
+    motion = rig.arm.press(PRESS)
+    finish(rig, motion)
+    with pytest.raises(FaultError) as raised:
+        motion.result()
+    assert raised.value.fault.code == "CONTACT-STIFF"
+    assert rig.wrench.since(0).values[:, 2].max() < 40.0
+    height_mm = rig.true_mm[2]
+    rig.rest(1.0)
+    assert rig.true_mm[2] > height_mm + 1.0
+
+
+def test_no_wrench_no_press():
+    rig = ready(8.0)
+    rig.wrench.clear()
+    with pytest.raises(FaultError) as raised:
+        rig.arm.press(PRESS)
+    assert raised.value.fault.code == "FT-STALE"
+    with pytest.raises(FaultError) as raised:
+        rig.arm.unload(1.0, 2.0)
+    assert raised.value.fault.code == "NOT-PRESSING"
+
+
+@pytest.mark.parametrize("speed_mm_s", [13.0, 0.0, float("nan")])
+def test_an_approach_that_could_trip_is_refused(speed_mm_s):
+    rig = ready(8.0)
+    with pytest.raises(RefusedError) as raised:
+        rig.arm.press(replace(PRESS, approach_mm_s=speed_mm_s))
+    assert raised.value.reason == "APPROACH-SPEED"
+    before = rig.true_mm[2]
+    rig.rest(0.1)
+    assert rig.true_mm[2] == pytest.approx(before, abs=1e-3)
+
+
+def test_the_arm_stands_while_the_wrench_is_no_number():
+    rig = ready(8.0)
+    motion = rig.arm.press(PRESS)
+    rig.rest(1.2)
+    assert motion.onset_s is not None
+    rig.contact = lambda pivot: np.full(3, np.nan)
+    rig.rest(0.15)
+    give = rig.arm.describe()["z_mm"] - rig.arm._orders._press.compliance.reference_mm[2]
+    rig.rest(0.1)
+    after = rig.arm.describe()["z_mm"] - rig.arm._orders._press.compliance.reference_mm[2]
+    assert after == pytest.approx(give, abs=1e-9)
+
+
+def swing(amplitude_n, period_s, delay_s=0.0237, lasts_s=1.0):
+    detector = SwingDetector(delay_s)
+    times = np.arange(0.0, lasts_s, 0.0035)
+    return [t for t in times if detector.feed(t, amplitude_n * np.sin(2 * np.pi * t / period_s))]
+
+
+def test_the_detector_knows_a_swing_from_a_press():
+    assert swing(1.0, 0.142)[0] < 0.4
+    assert swing(0.45, 0.142) == []
+    assert swing(1.0, 0.5) == []
+    detector = SwingDetector(0.0237)
+    ramp = np.linspace(0.0, 20.0, 300)
+    noise = np.random.default_rng(1).normal(0.0, 0.1, 300)
+    assert not any(detector.feed(0.0035 * k, f) for k, f in enumerate(ramp + noise))

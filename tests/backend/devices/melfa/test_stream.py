@@ -1,0 +1,345 @@
+"""The stream under loss, delay, damage, stalls and stops, on a hand-wound clock."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from backend.core.faults import FaultError
+from backend.core.flow import Pose
+from backend.devices.melfa.ladder import Rung, rung
+from backend.devices.melfa.replies import MONITORS, Replies
+from backend.devices.melfa.stream import Phase
+from backend.devices.protocols import DeviceState, PressCommand, RobotMode, SafetyMode
+from backend.wire.melfa_blocks import Kind, Values
+from backend.wire.melfa_joints import CYCLE_S
+from backend.wire.melfa_mxt import Command, Reply, decode_request, encode_reply
+from tests.backend.devices.emulated_arm import Rig
+
+SPEED_MM_S = 20.0
+LEAD_MM = 3 * CYCLE_S * SPEED_MM_S
+FAR = Pose(0.0, 0.0, 160.0)
+
+
+@pytest.fixture
+def rig():
+    made = Rig()
+    made.arm.connect(1.0, threading.Event())
+    made.rest(0.1)
+    return made
+
+
+def requests(rig, since=0):
+    return [(t_s, decode_request(data)) for t_s, data in rig.wires.packets[since:]]
+
+
+def places(rig, since=0):
+    """Where the commands since a packet put ``G``: (n, 3) mm."""
+    told = [np.array(r.target.axes[:6]) for _, r in requests(rig, since) if r.target is not None]
+    return np.array([rig.placing.pivot_mm(joints) for joints in told])
+
+
+def steps_mm(rig, since=0):
+    return np.linalg.norm(np.diff(places(rig, since), axis=0), axis=1)
+
+
+def outage(rig, seconds):
+    rig.wires.link.cut = True
+    rig.rest(seconds)
+    rig.wires.link.cut = False
+
+
+# -- start ----------------------------------------------------------------------------------------
+
+
+def test_the_first_packet_commands_nothing_and_the_first_command_is_the_echo(rig):
+    sent = [request for _, request in requests(rig)]
+    assert sent[0].command is Command.NONE
+    assert sent[0].target is None
+    assert sent[0].monitors == MONITORS
+    moves = [request for request in sent if request.command is Command.MOVE]
+    start = rig.device.controller.joints.command_rad
+    assert all(move.target == moves[0].target for move in moves)
+    assert np.array(moves[0].target.axes[:6]) == pytest.approx(start, abs=1e-7)
+    assert len(moves) > 10
+
+
+def test_a_position_that_jumps_at_the_start_is_taken_as_it_is_told():
+    rig = Rig()
+    rig.device.stream.jump_rad = np.array([2e-4, 0, 0, 0, 0, 0])
+    told = rig.device.controller.joints.command_rad[0] + 2e-4
+    rig.arm.connect(1.0, threading.Event())
+    first = next(r for _, r in requests(rig) if r.command is Command.MOVE)
+    assert first.target.axes[0] == pytest.approx(told, abs=1e-7)
+
+
+def test_a_hand_that_does_not_point_down_is_not_moved():
+    rig = Rig()
+    rig.device.controller.joints.command_rad[4] += 0.02
+    with pytest.raises(FaultError) as raised:
+        rig.arm.connect(1.0, threading.Event())
+    assert raised.value.fault.code == "TILTED"
+    assert rig.device.stream.commands == 0
+    assert not rig.device.controller.servo
+
+
+def test_the_command_channel_keeps_its_distance_while_the_program_runs(rig):
+    rig.rest(2.0)
+    session = rig.wires._session
+    assert sum(request.command == "STATE" for request in session.received) > 15
+    assert session.too_fast == 0
+
+
+# -- loss -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("missed", "silent_s", "found"),
+    [
+        (0, CYCLE_S, Rung.GO),
+        (1, 1.4 * CYCLE_S, Rung.GO),
+        (2, 0.0, Rung.STAND),
+        (0, 2 * CYCLE_S, Rung.STAND),
+        (9, 9 * CYCLE_S, Rung.STAND),
+        (10, 0.0, Rung.HOLD),
+        (28, 28.9 * CYCLE_S, Rung.HOLD),
+        (29, 0.0, Rung.FAULT),
+        (0, 29 * CYCLE_S, Rung.FAULT),
+    ],
+)
+def test_the_ladder(missed, silent_s, found):
+    assert rung(missed, silent_s, CYCLE_S) is found
+
+
+def test_lost_packets_slow_it_down_and_nothing_else(rig):
+    rig.wires.link.loss = 0.2
+    since = len(rig.wires.packets)
+    rig.arm.move_to(FAR, SPEED_MM_S)
+    rig.rest(3.0)
+    assert rig.arm.state is DeviceState.READY
+    heights = places(rig, since)[:, 2]
+    assert (np.diff(heights) >= -1e-4).all()
+    assert steps_mm(rig, since).max() <= 1.05 * LEAD_MM
+    assert heights[-1] - heights[0] > 15.0
+
+
+def test_without_loss_it_reaches_the_asked_speed(rig):
+    rig.arm.move_to(FAR, SPEED_MM_S)
+    since = len(rig.wires.packets)
+    rig.rest(1.0)
+    assert steps_mm(rig, since).max() / CYCLE_S == pytest.approx(SPEED_MM_S, rel=3e-3)
+
+
+def test_late_doubled_and_reordered_replies_move_nothing_backwards(rig):
+    link = rig.wires.link
+    link.duplicate, link.late = 0.10, lambda: link.rng.choice((0, 0, 0, 0, 1, 3))
+    since = len(rig.wires.packets)
+    rig.arm.move_to(FAR, SPEED_MM_S)
+    rig.rest(3.0)
+    counts = rig.arm._core.replies.counts
+    assert counts.repeated > 20
+    assert counts.old > 20
+    assert (np.diff(places(rig, since)[:, 2]) >= -1e-4).all()
+    assert steps_mm(rig, since).max() <= 1.05 * LEAD_MM
+    assert rig.arm.health.lost == counts.refused + counts.skipped
+
+
+def test_garbage_is_counted_and_never_used(rig):
+    rig.wires.link.garbage = 0.10
+    motion = rig.arm.move_to(Pose(0.0, 0.0, 80.0), SPEED_MM_S)
+    rig.rest(2.0)
+    assert motion.done
+    motion.result()
+    assert rig.arm._core.replies.counts.refused > 30
+    assert rig.true_mm == pytest.approx([0.0, 0.0, 80.0], abs=0.02)
+
+
+def test_a_queue_of_old_replies_is_not_believed(rig):
+    link, due = rig.wires.link, {"cycles": 0}
+    link.late = lambda: due["cycles"]
+    rig.arm.move_to(FAR, SPEED_MM_S)
+    rig.rest(0.5)
+    due["cycles"] = 20
+    rig.rest(0.07)
+    due["cycles"] = 0
+    since = len(rig.wires.packets)
+    rig.rest(0.5)
+    assert steps_mm(rig, since).max() <= 1.05 * LEAD_MM
+    assert rig.arm._core.replies.counts.old >= 15
+
+
+@pytest.mark.parametrize("seconds", [0.06, 0.0980])
+@pytest.mark.parametrize("own", [False, True], ids=["link", "driver"])
+def test_a_gap_below_the_fault_ends_in_a_hold_and_a_small_jump(rig, seconds, own):
+    motion = rig.arm.move_to(FAR, SPEED_MM_S)
+    rig.rest(0.5)
+    before = len(rig.wires.packets) - 1
+    if own:
+        rig.wires.stalled = True
+        rig.rest(seconds)
+        rig.wires.stalled = False
+    else:
+        outage(rig, seconds)
+    rig.rest(0.3)
+    assert rig.arm._core.holds == 1
+    assert steps_mm(rig, before).max() <= 0.25
+    # It went on by itself, from zero speed.
+    assert not motion.done
+    assert rig.true_mm[2] > places(rig)[before][2] + 2.0
+    assert rig.arm.state is DeviceState.READY
+
+
+def test_silence_is_a_fault_at_cycle_29_exactly(rig):
+    motion = rig.arm.move_to(FAR, SPEED_MM_S)
+    rig.rest(0.5)
+    last_heard = len(rig.wires.packets)
+    rig.wires.link.cut = True
+    cycles = 0
+    while rig.arm.state is DeviceState.READY:
+        rig.wires.advance(3500)
+        cycles += 1
+    # The reply to the packet before the cut came in the first of these cycles.
+    assert cycles - 1 == 29
+    assert rig.arm.fault.code == "MXT-LOST"
+    rig.rest(0.1)
+    after = [request.command for _, request in requests(rig, last_heard)]
+    assert after[-3:] == [Command.END] * 3
+    assert Command.MOVE not in after[cycles - 1 :]
+    assert rig.wires.stops == 1
+    with pytest.raises(FaultError):
+        motion.result()
+    with pytest.raises(FaultError):
+        rig.arm.move_to(FAR, SPEED_MM_S)
+
+
+def test_a_driver_that_was_stopped_for_long_makes_nothing_up(rig):
+    rig.arm.move_to(FAR, SPEED_MM_S)
+    rig.rest(0.5)
+    before = len(rig.wires.packets)
+    rig.wires.stalled = True
+    rig.rest(0.15)
+    rig.wires.stalled = False
+    rig.rest(0.1)
+    assert rig.arm.fault.code == "MXT-LOST"
+    assert {request.command for _, request in requests(rig, before)} == {Command.END}
+
+
+def test_a_press_is_void_after_a_hold(rig):
+    rig.contact = lambda pivot: np.array([0.0, 0.0, max(0.0, 8.0 * (55.0 - pivot[2]))])
+    rig.rest(0.6)
+    press = rig.arm.press(PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 11.0, (30.0, 30.0, 15.0)))
+    rig.rest(3.2)
+    assert press.onset_s is not None
+    outage(rig, 0.06)
+    assert press.done
+    with pytest.raises(FaultError) as raised:
+        press.result()
+    assert raised.value.fault.code == "PRESS-VOID"
+    rig.rest(0.5)
+    assert 2.0 < 8.0 * (55.0 - rig.true_mm[2]) < 12.0
+
+
+# -- stop and trouble of the controller -----------------------------------------------------------
+
+
+def test_stop_ends_the_stream_and_stops_the_controller(rig):
+    motion = rig.arm.move_to(FAR, SPEED_MM_S)
+    rig.rest(0.5)
+    before, height = len(rig.wires.packets), rig.true_mm[2]
+    rig.arm.stop()
+    assert motion.done
+    assert rig.device.controller.program == ""
+    rig.rest(0.3)
+    assert {request.command for _, request in requests(rig, before)} == {Command.END}
+    assert rig.true_mm[2] - height < 0.1
+    assert rig.arm.state is DeviceState.READY
+
+
+def test_after_a_stop_the_next_command_begins_at_the_echo(rig):
+    rig.arm.move_to(FAR, SPEED_MM_S)
+    rig.rest(0.5)
+    rig.arm.stop()
+    rig.rest(0.3)
+    before = len(rig.wires.packets)
+    motion = rig.arm.move_to(Pose(0.0, 0.0, 75.0), SPEED_MM_S)
+    assert requests(rig, before)[0][1].command is Command.NONE
+    rig.rest(1.5)
+    motion.result()
+    assert steps_mm(rig, before).max() <= 1.05 * LEAD_MM
+    assert rig.true_mm[2] == pytest.approx(75.0, abs=0.05)
+
+
+@pytest.mark.parametrize("number", [50, 61, 70, 2601, 4242])
+def test_an_error_of_the_controller_is_told_with_its_number(rig, number):
+    rig.arm.move_to(FAR, SPEED_MM_S)
+    rig.rest(0.5)
+    rig.device.controller.raise_error(number)
+    followed = rig.device.stream.commands
+    rig.rest(0.35)
+    assert rig.arm.state is DeviceState.FAULT
+    assert str(number) in rig.arm.fault.what
+    assert (rig.arm.status().safety_mode is SafetyMode.HW_STOP) == (number in (50, 61, 70))
+    assert rig.arm.status().robot_mode is RobotMode.SERVO_OFF
+    assert rig.device.stream.commands == followed
+    commands = rig.device.stream.commands
+    rig.arm.close()
+    assert rig.device.stream.commands == commands
+
+
+def test_a_program_that_ends_by_itself_is_a_fault(rig):
+    rig.device.controller.finish_program()
+    rig.rest(0.3)
+    assert rig.arm.fault.code in ("MXT-ENDED", "MXT-LOST")
+    assert rig.arm._core.phase is not Phase.OPEN
+
+
+def test_the_controller_stops_by_itself_when_the_driver_dies(rig):
+    rig.arm.move_to(FAR, SPEED_MM_S)
+    rig.rest(0.5)
+    rig.wires.stalled = True
+    rig.rest(56 * CYCLE_S)
+    assert rig.device.controller.error == 0
+    rig.rest(3 * CYCLE_S)
+    assert rig.device.controller.error == 9902
+    assert not rig.device.controller.servo
+
+
+def test_a_place_out_of_reach_is_refused_and_nothing_too_fast_is_sent(rig):
+    motion = rig.arm.move_to(Pose(0.0, 0.0, 900.0), 400.0)
+    rig.rest(3.0)
+    with pytest.raises(FaultError) as raised:
+        motion.result()
+    assert raised.value.fault.code in ("REACH", "SINGULAR", "STEP")
+    assert rig.device.stream.largest_share <= 0.5
+    assert rig.device.controller.error == 0
+    assert rig.arm.state is DeviceState.READY
+
+
+# -- replies --------------------------------------------------------------------------------------
+
+
+def reply(counter, *, monitors=MONITORS, joint=0.1):
+    joints = Values(Kind.JOINT, (joint,) * 6 + (0.0, 0.0))
+    kinds = {2: joints, 5: joints, 8: joints, 11: Values(Kind.CURRENT, (0,) * 8), 0: None}
+    blocks = tuple(kinds[monitor] for monitor in monitors)
+    return encode_reply(Reply(Command.MOVE, monitors[0], monitors, blocks, counter))
+
+
+def test_only_newer_replies_of_the_wanted_kind_count():
+    replies = Replies()
+    assert replies.take([reply(7)]) is not None
+    assert replies.take([reply(7)]) is None
+    assert replies.take([reply(6)]) is None
+    assert replies.take([reply(9, joint=0.2), reply(8)]).command_rad[0] == pytest.approx(0.2)
+    assert replies.take([reply(10, monitors=(2, 8, 5, 0))]) is None
+    assert replies.take([reply(11, joint=11.0)]) is None
+    counts = replies.counts
+    assert (counts.accepted, counts.repeated, counts.old, counts.refused) == (2, 1, 2, 2)
+    assert counts.skipped == 1
+
+
+def test_the_counter_wraps():
+    replies = Replies()
+    assert replies.take([reply(2**32 - 1)]) is not None
+    assert replies.take([reply(0)]) is not None
+    assert replies.take([reply(2**32 - 1)]) is None

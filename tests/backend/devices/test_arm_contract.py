@@ -1,0 +1,247 @@
+"""The part of the contract that every arm is held to: moves, presses, jogs, stops."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from backend.core.faults import FaultError
+from backend.core.flow import Pose
+from backend.devices.protocols import (
+    RobotMode,
+    SafetyMode,
+)
+from tests.backend.devices.contract_bench import EVERY, PRESS, DevicesUnderTest
+
+
+@EVERY
+def test_a_move_arrives_reports_what_was_sent_and_keeps_its_speed(bench: DevicesUnderTest) -> None:
+    bench.lifted_and_gripped()
+    start = bench.arm.pose(0.1)
+    target = Pose(start.x_mm + 6.0, start.y_mm - 2.0, start.z_mm + 10.0)
+    begun_s = bench.now_s()
+    motion = bench.arm.move_to(target, 20.0)
+    with pytest.raises(ValueError, match="under way"):
+        motion.result()
+    bench.rest(0.05)
+    assert bench.arm.status().robot_mode is RobotMode.MOVING
+    bench.finish(motion)
+    motion.result()
+    assert motion.sent["speed_mm_s"] == 20.0
+    assert motion.sent["z_mm"] == target.z_mm
+    end = bench.arm.pose(0.1)
+    assert (end.x_mm, end.y_mm, end.z_mm) == pytest.approx(
+        (target.x_mm, target.y_mm, target.z_mm), abs=0.05
+    )
+    length = float(np.sqrt(6.0**2 + 2.0**2 + 10.0**2))
+    assert bench.now_s() - begun_s >= length / 20.0
+    poses = bench.arm.poses.window(begun_s, bench.now_s())
+    speed = np.linalg.norm(np.diff(poses.values, axis=0), axis=1) / np.diff(poses.t_s)
+    assert speed.max() <= 20.0 * 1.05
+    assert bench.arm.status().robot_mode is RobotMode.READY
+    assert bench.arm.status().safety_mode is SafetyMode.NORMAL
+
+
+@EVERY
+def test_a_press_finds_contact_holds_and_unloads(bench: DevicesUnderTest) -> None:
+    bench.lifted_and_gripped()
+    samples = bench.force_torque.samples
+    air = samples.window(bench.now_s() - 0.2, bench.now_s()).values.mean(axis=0)
+    motion = bench.arm.press(PRESS)
+    assert motion.onset_s is None
+    assert motion.sent["depth_mm"] == 1.5
+    bench.finish(motion)
+    motion.result()
+    assert motion.onset_s is not None
+    assert motion.detected_s is not None
+    assert motion.onset_s <= motion.detected_s
+    assert bench.now_s() == pytest.approx(motion.onset_s + PRESS.hold_s, abs=0.011)
+    held = samples.window(bench.now_s() - 0.1, bench.now_s()).values.mean(axis=0) - air
+    assert 4.0 < held[2] < 11.0
+    unload = bench.arm.unload(1.0, 2.0)
+    bench.finish(unload)
+    unload.result()
+    bench.rest(0.2)
+    left = samples.window(bench.now_s() - 0.1, bench.now_s()).values.mean(axis=0) - air
+    assert 0.3 <= left[2] <= 2.0
+    assert unload.sent["force_n"] == 1.0
+
+
+@EVERY
+def test_a_press_into_nothing_fails_with_a_fault(bench: DevicesUnderTest) -> None:
+    bench.lifted_and_gripped()
+    here = bench.arm.pose(0.1)
+    bench.finish(bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 20.0), 20.0))
+    motion = bench.arm.press(PRESS)
+    bench.finish(motion)
+    with pytest.raises(FaultError) as raised:
+        motion.result()
+    assert raised.value.fault.code == "NO-CONTACT"
+    assert motion.onset_s is None
+
+
+@EVERY
+@pytest.mark.parametrize("after_s", [0.0, 0.02, 0.5, 2.5])
+def test_stop_ends_a_press_in_every_phase(bench: DevicesUnderTest, after_s: float) -> None:
+    bench.lifted_and_gripped()
+    motion = bench.arm.press(PRESS)
+    bench.rest(after_s)
+    assert not motion.done
+    bench.arm.stop()
+    assert motion.done
+    with pytest.raises(FaultError):
+        motion.result()
+    bench.rest(bench.still_s)
+    still = bench.arm.pose(0.1)
+    bench.rest(0.5)
+    after = bench.arm.pose(0.1)
+    assert (still.x_mm, still.y_mm, still.z_mm) == pytest.approx(
+        (after.x_mm, after.y_mm, after.z_mm), abs=bench.still_mm
+    )
+    assert bench.gripper.status().holding
+
+
+@EVERY
+def test_stop_is_legal_in_every_state(bench: DevicesUnderTest) -> None:
+    for stop in (bench.arm.stop, bench.gripper.stop):
+        stop()
+    bench.connect()
+    for stop in (bench.arm.stop, bench.gripper.stop):
+        stop()
+        stop()
+    grip = bench.gripper.grip(10.0)
+    bench.rest(0.1)
+    bench.gripper.stop()
+    with pytest.raises(FaultError):
+        grip.result()
+    assert not bench.gripper.status().holding
+    for device in bench.all:
+        device.close()
+    for stop in (bench.arm.stop, bench.gripper.stop):
+        stop()
+
+
+@EVERY
+def test_stop_comes_through_from_another_thread(bench: DevicesUnderTest) -> None:
+    bench.lifted_and_gripped()
+    here = bench.arm.pose(0.1)
+    motion = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 60.0), 20.0)
+    bench.rest(0.2)
+    thread = threading.Thread(target=bench.arm.stop)
+    thread.start()
+    thread.join(5.0)
+    assert motion.done
+    bench.rest(1.0)
+    assert bench.arm.pose(0.1).z_mm < here.z_mm + 10.0
+
+
+@EVERY
+def test_a_newer_command_ends_the_older_one(bench: DevicesUnderTest) -> None:
+    bench.lifted_and_gripped()
+    here = bench.arm.pose(0.1)
+    first = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 30.0), 20.0)
+    bench.rest(0.1)
+    second = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 5.0), 20.0)
+    with pytest.raises(FaultError):
+        first.result()
+    bench.finish(second)
+    second.result()
+
+
+@EVERY
+def test_closing_the_connection_stops_motion_and_keeps_the_grip(bench: DevicesUnderTest) -> None:
+    bench.lifted_and_gripped()
+    here = bench.arm.pose(0.1)
+    motion = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 60.0), 20.0)
+    bench.rest(0.1)
+    bench.arm.close()
+    bench.gripper.close()
+    assert motion.done
+    assert bench.gripper.status().holding
+
+
+@EVERY
+@pytest.mark.parametrize("speed", [0.0, -1.0, float("nan"), float("inf")])
+def test_senseless_numbers_are_refused(bench: DevicesUnderTest, speed: float) -> None:
+    bench.lifted_and_gripped()
+    with pytest.raises(ValueError, match="finite"):
+        bench.arm.move_to(Pose(0.0, 0.0, 50.0), speed)
+    with pytest.raises(ValueError, match="finite"):
+        bench.arm.move_to(Pose(float("nan"), 0.0, 50.0), 10.0)
+    with pytest.raises(ValueError, match="finite"):
+        bench.gripper.open_to(50.0, speed)
+
+
+@EVERY
+def test_a_jog_ends_by_itself_and_a_renewal_is_the_same_motion(bench: DevicesUnderTest) -> None:
+    bench.connect()
+    bench.rest(0.1)
+    before = bench.arm.pose(0.1)
+    first = bench.arm.jog((0.0, 0.0, 10.0), 0.14)
+    bench.rest(0.1)
+    assert bench.arm.jog((0.0, 0.0, 10.0), 0.14) is first
+    assert bench.arm.status().robot_mode is RobotMode.MOVING
+    bench.rest(0.4)
+    assert first.done
+    first.result()
+    assert bench.arm.status().robot_mode is RobotMode.READY
+    gone = bench.arm.pose(0.1).z_mm - before.z_mm
+    assert gone == pytest.approx(0.24 * 10.0, abs=0.2)
+
+
+@EVERY
+def test_a_jog_turns_without_an_end_and_stop_ends_it(bench: DevicesUnderTest) -> None:
+    bench.connect()
+    bench.rest(0.1)
+    before = bench.arm.pose(0.1)
+    motion = bench.arm.jog((20.0, 0.0, 0.0), 0.14)
+    bench.rest(0.1)
+    assert bench.arm.jog((0.0, 20.0, 0.0), 0.14) is motion
+    bench.rest(0.1)
+    bench.arm.stop()
+    bench.rest(bench.still_s)
+    after = bench.arm.pose(0.1)
+    assert motion.done
+    assert after.x_mm - before.x_mm > 1.0
+    assert after.y_mm - before.y_mm > 0.5
+    bench.rest(0.2)
+    still = bench.arm.pose(0.1)
+    assert (still.x_mm, still.y_mm, still.z_mm) == pytest.approx(
+        (after.x_mm, after.y_mm, after.z_mm), abs=bench.still_mm
+    )
+
+
+@EVERY
+@pytest.mark.parametrize("velocity", [(float("nan"), 0.0, 0.0), (float("inf"), 0.0, 0.0)])
+def test_a_jog_without_a_number_is_refused(
+    bench: DevicesUnderTest, velocity: tuple[float, float, float]
+) -> None:
+    bench.connect()
+    with pytest.raises(ValueError, match="finite"):
+        bench.arm.jog(velocity, 0.1)
+    assert bench.arm.rotates in (True, False)
+
+
+@EVERY
+def test_halt_ends_a_move_and_the_next_one_begins_at_once(bench: DevicesUnderTest) -> None:
+    bench.connect()
+    bench.rest(0.1)
+    here = bench.arm.pose(0.1)
+    motion = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 60.0), 20.0)
+    bench.rest(0.3)
+    bench.arm.halt()
+    assert motion.done
+    with pytest.raises(FaultError):
+        motion.result()
+    bench.rest(0.2)
+    still = bench.arm.pose(0.02)
+    bench.rest(0.1)
+    assert bench.arm.pose(0.02).z_mm == pytest.approx(still.z_mm, abs=1e-3)
+    before_s = bench.now_s()
+    again = bench.arm.move_to(here, 20.0)
+    assert bench.now_s() == before_s
+    bench.rest(0.1)
+    assert bench.arm.pose(0.02).z_mm < still.z_mm - 0.5
+    assert not again.done

@@ -1,0 +1,174 @@
+"""One contract for every wrist sensor on a wire: a new language is held to it by one more row.
+
+Each speaks to its emulated sensor over a real pseudo terminal or UDP socket.
+"""
+
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from backend.config.hardware import HardwareSettings
+from backend.core.faults import FaultError
+from backend.devices.force_torque.making import LANGUAGES, make_force_torque
+from backend.devices.protocols import DeviceState
+from backend.devices.reconnect import reconnect
+from backend.emulators.bota import EmulatedBota
+from backend.emulators.dynpick import EmulatedDynpick
+from backend.emulators.faults import Faults
+from backend.emulators.front import PtyFront, TcpFront
+from backend.emulators.front_udp import UdpFront
+from backend.emulators.ft300 import EmulatedFt300
+from backend.emulators.leptrino import EmulatedLeptrino
+from backend.emulators.loads import noisy, suffering
+from backend.emulators.netft import PER_UNIT, EmulatedNetFt
+from backend.emulators.optoforce import CAPACITY, COUNTS, EmulatedOptoforce
+from tests.backend.devices.waiting import until
+
+LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
+TREMBLE = (0.03, 0.03, 0.03, 0.003, 0.003, 0.003)
+RATE_HZ = {"ft300": 100.0}
+EMULATED = {
+    "dynpick": EmulatedDynpick,
+    "leptrino": EmulatedLeptrino,
+    "ft300": EmulatedFt300,
+    "bota": EmulatedBota,
+    "optoforce": EmulatedOptoforce,
+    "netft": EmulatedNetFt,
+}
+
+
+class Wired:
+    """A driver, the emulated sensor it meets, and what goes wrong between them."""
+
+    def __init__(self, kind, folder):
+        self.kind = kind
+        self.faults = Faults("force_torque")
+        sensor = EMULATED[kind](suffering(noisy(lambda now_s: LOAD, TREMBLE), self.faults))
+        if kind == "netft":
+            self.front = UdpFront(sensor, faults=self.faults)
+        elif sys.platform == "win32":
+            self.front = TcpFront(sensor, faults=self.faults)
+        else:
+            self.front = PtyFront(sensor, faults=self.faults, link=folder / "sensor")
+        settings = {
+            "ft": {"driver": kind, "address": self.front.url},
+            "optoforce": {"counts": COUNTS, "capacity": CAPACITY},
+            # Nothing listens there: the scale of the settings counts.
+            "netft": {"counts": (PER_UNIT, PER_UNIT), "http_port": 1, "tcp_port": 1},
+        }
+        self.driver = make_force_torque(HardwareSettings.model_validate(settings), time.monotonic)
+        self.front.start()
+
+    def connect(self):
+        self.driver.connect(5.0, threading.Event())
+
+    def newest(self, count):
+        """Values of the next ``count`` samples."""
+        begin = self.driver.samples.count
+        until(lambda: self.driver.samples.count >= begin + count)
+        return self.driver.samples.since(begin).values
+
+    def close(self):
+        self.driver.close()
+        self.front.close()
+
+
+@pytest.fixture(params=sorted(LANGUAGES))
+def wired(request, tmp_path):
+    made = Wired(request.param, tmp_path)
+    yield made
+    made.close()
+
+
+def test_every_language_has_an_emulated_sensor():
+    assert set(EMULATED) == set(LANGUAGES)
+
+
+def test_it_delivers_what_the_sensor_feels_in_order_at_its_rate(wired):
+    driver = wired.driver
+    assert driver.state is DeviceState.CLOSED
+    assert driver.identity is None
+    wired.connect()
+    assert driver.state is DeviceState.READY
+    assert driver.identity.maker
+    assert driver.identity.serial
+    assert np.all(driver.rated > 0)
+    values = wired.newest(40)
+    assert np.abs(values.mean(axis=0) - LOAD).max() < 0.1
+    assert np.all(np.abs(values[:, 3:].mean(axis=0) - LOAD[3:]) < 0.01)
+    run = driver.samples.since(0)
+    assert np.all(np.diff(run.t_s) > 0)
+    period_s = 1.0 / RATE_HZ.get(wired.kind, 1000.0)
+    span_s = run.t_s[-1] - run.t_s[10]
+    assert span_s / (len(run.t_s) - 11) == pytest.approx(period_s, rel=0.3)
+    assert driver.health.received == driver.samples.count
+    assert driver.condition in ("good", "slow")
+    assert all(isinstance(value, str | float | int) for value in driver.describe().values())
+
+
+def test_garbage_is_refused_counted_and_overcome(wired):
+    wired.connect()
+    wired.front.inject("garbage", 0.2, share=0.2)
+    wired.front.inject("flip", 0.2, share=0.1)
+    until(lambda: not wired.faults.names(time.monotonic()))
+    if wired.driver.state is DeviceState.FAULT:
+        reconnect(wired.driver, 5.0, threading.Event())
+    values = wired.newest(20)
+    assert np.abs(values.mean(axis=0) - LOAD).max() < 0.2
+
+
+def test_a_frozen_sensor_gives_no_measurement(wired):
+    wired.connect()
+    wired.newest(5)
+    wired.front.inject("freeze")
+    until(lambda: wired.driver.condition == "stuck")
+    assert np.isnan(wired.newest(3)).all()
+    wired.faults.clear()
+    until(lambda: np.isfinite(wired.newest(2)).all())
+    assert wired.driver.state is DeviceState.READY
+
+
+def test_the_end_of_the_range_is_a_fault_and_no_number(wired):
+    wired.connect()
+    begin = wired.driver.samples.count
+    wired.front.inject("saturate")
+    until(lambda: wired.driver.fault is not None)
+    assert wired.driver.fault.code in ("FT-OVERLOAD", "FT-SENSOR")
+    assert wired.driver.state is DeviceState.FAULT
+    values = wired.driver.samples.since(begin).values
+    finite = values[np.isfinite(values).all(axis=1)]
+    assert len(finite) < len(values)
+    assert not len(finite) or np.abs(finite - LOAD).max() < 1.0
+
+
+def test_unplugged_it_is_a_fault_and_plugged_in_again_it_heals(wired):
+    wired.connect()
+    first = wired.driver.identity
+    wired.front.inject("unplug")
+    until(lambda: wired.driver.state is DeviceState.FAULT)
+    assert wired.driver.fault.code == "FT-LINK"
+    wired.faults.clear()
+
+    def back():
+        try:
+            reconnect(wired.driver, 2.0, threading.Event())
+        except FaultError:
+            return False
+        return True
+
+    until(back)
+    assert wired.driver.identity == first
+    assert np.abs(wired.newest(20).mean(axis=0) - LOAD).max() < 0.2
+
+
+def test_connecting_can_be_cancelled_and_closing_twice_is_allowed(wired):
+    cancel = threading.Event()
+    cancel.set()
+    with pytest.raises(FaultError, match="cancelled"):
+        wired.driver.connect(5.0, cancel)
+    wired.driver.close()
+    wired.driver.close()
+    assert wired.driver.state is DeviceState.CLOSED

@@ -1,0 +1,230 @@
+"""One contract for every gripper: the simulated one, and the WSG over a real socket."""
+
+import threading
+import time
+
+import pytest
+
+from backend.config.hardware import WsgSettings
+from backend.config.simulation import SimulationSettings
+from backend.core.faults import FaultError
+from backend.devices.protocols import DeviceState
+from backend.devices.sim.bench import SimulatedBench
+from backend.devices.wsg.driver import WsgGripper
+from backend.emulators.faults import Faults
+from backend.emulators.front import TcpFront
+from backend.emulators.leptrino import EmulatedLeptrino
+from backend.emulators.wsg import EmulatedWsg
+from backend.emulators.wsg_jaws import Profile
+from backend.objects.catalogue import load_catalogue
+from backend.objects.tower import Tower
+from backend.simulation.scene import Scene
+from tests.backend.devices.waiting import until
+
+PART_MM = 30.0
+
+
+class Simulated:
+    """The gripper of the simulated bench; its time is wound by hand."""
+
+    def __init__(self):
+        catalogue = load_catalogue()
+        bottoms = Tower((catalogue.bottom("short").body(),))
+        settings = SimulationSettings(preset="mixed")
+        self.bench = SimulatedBench(Scene(catalogue.top("pot"), bottoms, (6.0, 3.0), 11, settings))
+        self.gripper = self.bench.gripper
+
+    def connect(self):
+        self.gripper.connect(1.0, threading.Event())
+        self.rest(0.05)
+
+    def rest(self, seconds):
+        self.bench.advance(round(seconds * 1e6))
+
+    def close(self):
+        self.gripper.close()
+
+
+class OverTheWire:
+    """A homed WSG driver and its emulated gripper with a piece between the jaws."""
+
+    def __init__(self):
+        faults = Faults("gripper")
+        self.emulated = EmulatedWsg(Profile(stroke_mm=40.0), PART_MM, faults)
+        self.front = TcpFront(self.emulated, faults=faults)
+        self.gripper = WsgGripper(*self.front.address, WsgSettings(), time.monotonic)
+        self.front.start()
+
+    def connect(self):
+        self.gripper.connect(2.0, threading.Event())
+        if not self.gripper.homed:
+            self.finish(self.gripper.home())
+        until(lambda: self.gripper.status().width_mm > 0)
+
+    def finish(self, motion):
+        until(lambda: motion.done)
+
+    def rest(self, seconds):
+        threading.Event().wait(seconds)
+
+    def close(self):
+        self.gripper.close()
+        self.front.close()
+
+
+@pytest.fixture(params=[Simulated, OverTheWire], ids=["simulated", "wsg"])
+def bench(request):
+    made = request.param()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def wired():
+    made = OverTheWire()
+    yield made
+    made.close()
+
+
+def finish(bench, motion):
+    end_s = time.monotonic() + 30.0
+    while not motion.done:
+        assert time.monotonic() < end_s, "the motion does not end"
+        bench.rest(0.01)
+
+
+def test_it_opens_and_closes_any_number_of_times_and_refuses_while_closed(bench):
+    gripper = bench.gripper
+    assert gripper.name == "gripper"
+    for _ in range(2):
+        assert gripper.state is DeviceState.CLOSED
+        for command in (lambda: gripper.grip(10.0), lambda: gripper.open_to(20.0, 10.0)):
+            with pytest.raises(FaultError):
+                command()
+        bench.connect()
+        gripper.connect(1.0, threading.Event())
+        assert gripper.state is DeviceState.READY
+        assert gripper.identity.serial
+        assert gripper.describe()
+        gripper.close()
+        gripper.close()
+
+
+def test_it_takes_the_piece_holds_it_with_the_force_and_lets_it_go(bench):
+    bench.connect()
+    wide = bench.gripper.status()
+    grip = bench.gripper.grip(10.0)
+    assert grip.sent == {"force_n": 10.0}
+    with pytest.raises(ValueError, match="under way"):
+        grip.result()
+    finish(bench, grip)
+    grip.result()
+    held = bench.gripper.status()
+    assert held.holding
+    assert held.width_mm < wide.width_mm
+    assert held.force_n == pytest.approx(10.0, abs=1.5)
+    opening = bench.gripper.open_to(held.width_mm + 4.0, 20.0)
+    finish(bench, opening)
+    opening.result()
+    assert not bench.gripper.status().holding
+    assert bench.gripper.status().width_mm == pytest.approx(held.width_mm + 4.0, abs=0.1)
+
+
+def test_stop_is_legal_in_every_state_and_ends_a_grip(bench):
+    bench.gripper.stop()
+    bench.connect()
+    bench.gripper.stop()
+    grip = bench.gripper.grip(10.0)
+    bench.rest(0.05)
+    bench.gripper.stop()
+    assert grip.done
+    with pytest.raises(FaultError):
+        grip.result()
+    assert not bench.gripper.status().holding
+    bench.gripper.close()
+    bench.gripper.stop()
+
+
+def test_stop_and_close_keep_a_grip_that_stands(bench):
+    bench.connect()
+    finish(bench, bench.gripper.grip(10.0))
+    bench.gripper.stop()
+    bench.rest(0.1)
+    assert bench.gripper.status().holding
+    bench.gripper.close()
+    bench.connect()
+    bench.rest(0.1)
+    assert bench.gripper.status().holding
+
+
+def test_a_newer_command_ends_the_older_one(bench):
+    bench.connect()
+    first = bench.gripper.grip(10.0)
+    bench.rest(0.02)
+    second = bench.gripper.open_to(38.0, 50.0)
+    with pytest.raises(FaultError):
+        first.result()
+    finish(bench, second)
+    second.result()
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, float("nan"), float("inf")])
+def test_senseless_numbers_are_refused(bench, bad):
+    bench.connect()
+    for command in (lambda: bench.gripper.grip(bad), lambda: bench.gripper.open_to(20.0, bad)):
+        with pytest.raises(ValueError, match=r"finite|positive"):
+            command()
+
+
+def test_a_link_lost_while_holding_waits_for_the_operator(wired):
+    wired.connect()
+    finish(wired, wired.gripper.grip(10.0))
+    wired.front.inject("unplug", 0.05)
+    until(lambda: wired.gripper.state is DeviceState.FAULT)
+    assert wired.gripper.fault.code == "WSG-LINK"
+    with pytest.raises(FaultError):
+        wired.gripper.open_to(38.0, 50.0)
+    until(lambda: not wired.front.faults.names(time.monotonic()))
+
+    def back():
+        try:
+            wired.gripper.connect(2.0, threading.Event())
+        except FaultError:
+            return False
+        return True
+
+    until(back)
+    assert wired.gripper.fault.code == "WSG-FAST-STOP"
+    with pytest.raises(FaultError):
+        wired.gripper.grip(10.0)
+    wired.gripper.acknowledge()
+    until(lambda: wired.gripper.state is DeviceState.READY)
+    finish(wired, wired.gripper.grip(10.0))
+    assert wired.gripper.status().holding
+
+
+def test_readings_go_on_and_a_lost_piece_is_seen(wired):
+    wired.connect()
+    finish(wired, wired.gripper.grip(10.0))
+    before = wired.gripper.health.received
+    until(lambda: wired.gripper.health.received > before + 5)
+    wired.emulated.jaws.part_mm = None
+    until(lambda: not wired.gripper.status().holding)
+    assert wired.gripper.lost_parts == 1
+    assert wired.gripper.state is DeviceState.READY
+
+
+def test_another_device_is_refused_by_name():
+    front = TcpFront(EmulatedLeptrino(lambda now_s: (0.0,) * 6))
+    front.start()
+    gripper = WsgGripper(*front.address, WsgSettings(), time.monotonic)
+    with pytest.raises(FaultError, match="no WSG gripper"):
+        gripper.connect(1.0, threading.Event())
+    assert gripper.state is DeviceState.CLOSED
+    front.close()
+
+
+def test_nobody_there_is_a_fault():
+    gripper = WsgGripper("127.0.0.1", 1, WsgSettings(), time.monotonic)
+    with pytest.raises(FaultError, match="cannot be reached"):
+        gripper.connect(1.0, threading.Event())

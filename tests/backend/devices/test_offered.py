@@ -1,0 +1,65 @@
+"""Drivers are found by name: shipped ones first, then those of installed packages."""
+
+import time
+from types import SimpleNamespace
+
+import pytest
+
+from backend.config.hardware import HardwareSettings
+from backend.core.faults import InputError
+from backend.devices import offered
+from backend.devices.force_torque.making import make_force_torque
+from backend.devices.wsg.driver import WsgGripper
+from backend.devices.wsg.making import make_gripper
+
+
+def settings(**tables):
+    return HardwareSettings.model_validate(tables)
+
+
+def offer(monkeypatch, name, load):
+    point = SimpleNamespace(name=name, load=load)
+    monkeypatch.setattr(offered, "entry_points", lambda group: [point])
+
+
+def test_an_installed_language_is_made_with_settings_and_address(monkeypatch):
+    made = []
+    offer(monkeypatch, "mine", lambda: lambda *given: made.append(given))
+    content = settings(ft={"driver": "mine", "address": "/dev/mine"})
+    make_force_torque(content, time.monotonic)
+    assert made == [(content, "/dev/mine")]
+
+
+def test_an_installed_gripper_is_used(monkeypatch):
+    offer(monkeypatch, "claw", lambda: lambda settings, now_s: "a claw")
+    assert make_gripper(settings(wsg={"driver": "claw"}), time.monotonic) == "a claw"
+    assert isinstance(make_gripper(settings(), time.monotonic), WsgGripper)
+
+
+def test_a_driver_that_ships_is_not_replaced(monkeypatch):
+    offer(monkeypatch, "wsg", lambda: pytest.fail("not asked for"))
+    assert isinstance(make_gripper(settings(), time.monotonic), WsgGripper)
+
+
+def broken():
+    raise ImportError("no module named 'my_lab'")
+
+
+@pytest.mark.parametrize(
+    ("tables", "said"),
+    [
+        ({"ft": {"driver": "thine", "address": "x"}}, "no driver 'thine'.*dynpick.*mine"),
+        ({"ft": {"driver": "mine", "address": "x"}}, "cannot be loaded.*my_lab"),
+        ({"ft": {"driver": "dynpick"}}, "no address"),
+        ({"ft": {"driver": "optoforce", "address": "x"}}, "scale"),
+    ],
+)
+def test_what_cannot_be_made_is_one_error(monkeypatch, tables, said):
+    offer(monkeypatch, "mine", broken)
+    with pytest.raises(InputError, match=said):
+        make_force_torque(settings(**tables), time.monotonic)
+
+
+def test_the_text_protocol_is_refused():
+    with pytest.raises(InputError, match="text protocol"):
+        make_gripper(settings(wsg={"protocol": "gcl"}), time.monotonic)

@@ -1,0 +1,54 @@
+"""The devices of a bench file: all five, in the order that is safe, and named when one is away."""
+
+import threading
+import time
+
+import pytest
+
+from backend.config.hardware import HardwareSettings
+from backend.core.faults import FaultError, InputError
+from backend.core.flow import FINGERS
+from backend.core.stream import SampleStream, Stream
+from backend.devices.protocols import DeviceState
+from backend.emulators.dynpick import EmulatedDynpick
+from backend.emulators.front import TcpFront
+from backend.emulators.loads import hanging, noisy
+from backend.rig.wired import WiredDevices
+
+
+def wired(**tables):
+    frames = {finger: Stream(finger, 8) for finger in FINGERS}
+    samples, poses = SampleStream("force_torque", 6, 4096), SampleStream("arm", 3, 64)
+    settings = HardwareSettings.model_validate(tables)
+    return WiredDevices(settings, time.monotonic, frames, samples, poses), samples
+
+
+def test_sensors_come_first_and_the_arm_that_moves_on_them_last():
+    devices, _ = wired(ft={"driver": "dynpick", "address": "nowhere"})
+    names = ["force_torque", "tactile_left", "tactile_right", "gripper", "arm"]
+    assert list(devices.devices) == names
+    assert {device.name for device in devices.devices.values()} == set(names)
+
+
+def test_the_first_that_is_away_is_named_and_those_before_it_stay():
+    front = TcpFront(EmulatedDynpick(noisy(hanging)))
+    front.start()
+    tables = {
+        "ft": {"driver": "dynpick", "address": front.url},
+        "gelsight": {"left": {"serial": "2D8Y-69GR"}, "by_id": "none", "names": "none"},
+    }
+    devices, samples = wired(**tables)
+    told = []
+    with pytest.raises(FaultError, match="2D8Y-69GR"):
+        devices.connect(threading.Event(), told.append, limit_s=1.0)
+    assert told == ["force_torque", "tactile_left"]
+    assert devices.force_torque.state is DeviceState.READY
+    assert samples.count > 0
+    devices.close()
+    assert {device.state for device in devices.devices.values()} == {DeviceState.CLOSED}
+    front.close()
+
+
+def test_a_bench_file_without_a_sensor_is_bad_input():
+    with pytest.raises(InputError, match=r"ft\.address"):
+        wired(ft={"driver": "dynpick"})

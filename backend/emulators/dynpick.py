@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 
+from backend.emulators.pace import Pace
 from backend.wire import dynpick
 from backend.wire.dynpick import TOP_COUNT, ZERO_COUNT, Command, Record
 
@@ -12,8 +12,6 @@ RATE_HZ = 1000.0
 SENSITIVITY = (65.47, 65.44, 65.08, 1638.5, 1639.25, 1640.75)
 VERSION = b"Touchdown emulated Dynpick\r\n"
 _DIVIDERS = {Command.FILTER_1: 1, Command.FILTER_2: 2, Command.FILTER_4: 4, Command.FILTER_8: 8}
-_MOST_DUE = 200
-"""Records sent at once after a pause; older ones are lost, as in the buffer of an adapter."""
 
 
 class EmulatedDynpick:
@@ -35,13 +33,12 @@ class EmulatedDynpick:
         self._commands = dynpick.command_stream()
         self._offset: tuple[int, ...] = (0,) * 6
         self._divider, self._tick = 1, 0
-        self._start_s: float | None = None
-        self._sent = 0
+        self._pace = Pace()
 
     @property
     def streaming(self) -> bool:
         """Whether records go out of themselves."""
-        return self._start_s is not None
+        return self._pace.running
 
     def receive(self, now_s: float, data: bytes) -> bytes:
         """Take commands; return the answers."""
@@ -49,14 +46,9 @@ class EmulatedDynpick:
 
     def due(self, now_s: float) -> bytes:
         """Return the records of the stream up to now."""
-        if self._start_s is None:
-            return b""
-        period_s = self._divider / RATE_HZ
-        end = math.floor((now_s - self._start_s) / period_s + 1e-6) + 1
-        late = max(0, end - self._sent - _MOST_DUE)
+        late, times = self._pace.due(now_s)
         self._tick = (self._tick + late) % 10
-        first, self._sent = self._sent + late, max(end, self._sent)
-        return b"".join(self._record(self._start_s + k * period_s) for k in range(first, end))
+        return b"".join(map(self._record, times))
 
     def closed(self, now_s: float) -> None:
         """Nothing: a sensor on a serial line does not notice."""
@@ -79,15 +71,15 @@ class EmulatedDynpick:
     def _change(self, now_s: float, command: Command) -> None:
         match command:
             case Command.START:
-                self._start_s, self._sent = now_s, 0
+                self._pace.begin(now_s, self._divider / RATE_HZ)
             case Command.STOP:
-                self._start_s = None
+                self._pace.end()
             case Command.OFFSET_RESET:
                 self._offset = self._counts(now_s)
             case _ if command in _DIVIDERS:
                 self._divider = _DIVIDERS[command]
                 if self.streaming:
-                    self._start_s, self._sent = now_s, 0
+                    self._pace.begin(now_s, self._divider / RATE_HZ)
 
     def _counts(self, now_s: float) -> tuple[int, ...]:
         values = zip(self._wrench(now_s), self._sensitivity, strict=True)

@@ -10,16 +10,20 @@ import os
 import selectors
 import socket
 import threading
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Protocol
 
 from backend.core.clock import Clock, MonotonicClock
+from backend.emulators.faults import Faults
 
 TICK_S = 0.002
 """Longest sleep between two looks at the device: as finely as a stream is timed."""
+UNPLUGGED_S = 0.01
 CHUNK = 4096
 LOG_LENGTH = 20_000
 
@@ -46,21 +50,30 @@ class Exchange:
     data: bytes
 
 
-class Front:
+class Front(ABC):
     """Runs one device on a thread of its own until ``close``.
 
-    ``damage`` may be set at any time: it gets all outgoing bytes and returns what really goes out.
+    ``faults`` are those of its wire; ``damage`` may be set at any time: it gets all outgoing bytes
+    and returns what really goes out.
     """
 
-    def __init__(self, device: Emulated, clock: Clock | None = None) -> None:
-        self._device, self._clock = device, clock or MonotonicClock()
+    def __init__(self, clock: Clock | None = None, faults: Faults | None = None) -> None:
+        self._clock = clock or MonotonicClock()
+        self.faults = faults or Faults("")
         self._stop = threading.Event()
         self.log: deque[Exchange] = deque(maxlen=LOG_LENGTH)
+        self.received = self.sent = self.clients = 0
         self.damage: Callable[[bytes], bytes] = bytes
         self._thread = threading.Thread(target=self._run, name="emulator", daemon=True)
 
+    @property
+    @abstractmethod
+    def url(self) -> str:
+        """Address for a driver."""
+
     def start(self) -> None:
-        """Begin to serve."""
+        """Begin to serve; the times of the faults count from here."""
+        self.faults.begin(self._clock.now_s())
         self._thread.start()
 
     def close(self) -> None:
@@ -69,39 +82,71 @@ class Front:
         if self._thread.is_alive():
             self._thread.join()
 
+    def inject(self, kind: str, for_s: float | None = None, **more: float) -> None:
+        """Let a fault begin now."""
+        self.faults.inject(self._clock.now_s(), kind, for_s, **more)
+
+    @abstractmethod
     def _run(self) -> None:
-        raise NotImplementedError
+        """Serve until ``_stop`` is set."""
+
+    def _is_unplugged(self) -> bool:
+        return self.faults.active("unplug", self._clock.now_s())
+
+    def _took(self, data: bytes) -> float:
+        """Count and log what came; return the time."""
+        now_s = self._clock.now_s()
+        self.received += len(data)
+        self.log.append(Exchange(now_s, True, data))
+        return now_s
+
+    def _gave(self, data: bytes) -> None:
+        self.sent += len(data)
+        self.log.append(Exchange(self._clock.now_s(), False, data))
+
+
+class StreamFront(Front):
+    """A front whose wire carries a stream of bytes."""
+
+    def __init__(
+        self, device: Emulated, clock: Clock | None = None, faults: Faults | None = None
+    ) -> None:
+        super().__init__(clock, faults)
+        self._device = device
 
     def _serve(
         self, file: int, read: Callable[[], bytes], write: Callable[[bytes], object]
     ) -> None:
-        """Exchange bytes with one client until it goes or the front closes."""
+        """Exchange bytes with one client until it goes, the plug is pulled or the front closes."""
         with selectors.DefaultSelector() as selector:
             selector.register(file, selectors.EVENT_READ)
-            while not self._stop.is_set():
-                out = b""
+            while not self._stop.is_set() and not self._is_unplugged():
+                answer = b""
                 if selector.select(TICK_S):
                     data = read()
                     if not data:
                         return
-                    now_s = self._clock.now_s()
-                    self.log.append(Exchange(now_s, True, data))
-                    out = self._device.receive(now_s, data)
-                out = self.damage(out + self._device.due(self._clock.now_s()))
-                if out:
+                    answer = self._device.receive(self._took(data), data)
+                now_s = self._clock.now_s()
+                messages = self.faults.outgoing(now_s, (answer, self._device.due(now_s)))
+                if out := self.damage(b"".join(messages)):
                     write(out)
-                    self.log.append(Exchange(self._clock.now_s(), False, out))
+                    self._gave(out)
 
 
-class TcpFront(Front):
+class TcpFront(StreamFront):
     """A device behind a TCP port; ``port`` 0 takes a free one."""
 
     def __init__(
-        self, device: Emulated, host: str = "127.0.0.1", port: int = 0, clock: Clock | None = None
+        self,
+        device: Emulated,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        clock: Clock | None = None,
+        faults: Faults | None = None,
     ) -> None:
-        super().__init__(device, clock)
-        self._listener = socket.create_server((host, port), backlog=1)
-        self._listener.settimeout(0.05)
+        super().__init__(device, clock, faults)
+        self._listener = self._listen((host, port))
         self.address: tuple[str, int] = self._listener.getsockname()[:2]
 
     @property
@@ -114,12 +159,25 @@ class TcpFront(Front):
         super().close()
         self._listener.close()
 
+    def _listen(self, address: tuple[str, int]) -> socket.socket:
+        listener = socket.create_server(address, backlog=1)
+        listener.settimeout(0.05)
+        return listener
+
     def _run(self) -> None:
         while not self._stop.is_set():
+            if self._is_unplugged():
+                self._listener.close()
+                while self._is_unplugged() and not self._stop.wait(UNPLUGGED_S):
+                    pass
+                if not self._stop.is_set():
+                    self._listener = self._listen(self.address)
+                continue
             try:
                 client, _ = self._listener.accept()
             except TimeoutError:
                 continue
+            self.clients += 1
             with client, contextlib.suppress(ConnectionError, TimeoutError):
                 client.settimeout(1.0)
                 client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -127,26 +185,66 @@ class TcpFront(Front):
             self._device.closed(self._clock.now_s())
 
 
-class PtyFront(Front):
-    """A device behind a pseudo terminal (Linux, macOS); ``url`` is the path of its serial port."""
+class PtyFront(StreamFront):
+    """A device behind a pseudo terminal (Linux, macOS); ``url`` is the path of its serial port.
 
-    def __init__(self, device: Emulated, clock: Clock | None = None) -> None:
-        super().__init__(device, clock)
-        import tty
+    ``link`` is a name that always points to the present terminal: after a replug it is another one.
+    """
 
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)
-        self.url = os.ttyname(self._slave)
+    def __init__(
+        self,
+        device: Emulated,
+        clock: Clock | None = None,
+        faults: Faults | None = None,
+        link: Path | None = None,
+    ) -> None:
+        super().__init__(device, clock, faults)
+        self._link = link
+        self._plug()
+
+    @property
+    def url(self) -> str:
+        """Path of the serial port."""
+        return str(self._link or self._path)
 
     def close(self) -> None:
         """Stop serving and remove the port."""
         super().close()
-        for file in (self._master, self._slave):
+        self._unplug()
+
+    def _plug(self) -> None:
+        import tty
+
+        self._master, slave = os.openpty()
+        self._files: tuple[int, ...] = (self._master, slave)
+        tty.setraw(slave)
+        self._path = os.ttyname(slave)
+        if self._link is not None:
+            fresh = self._link.with_name(f"{self._link.name}.new")
+            fresh.unlink(missing_ok=True)
+            fresh.symlink_to(self._path)
+            fresh.replace(self._link)
+
+    def _unplug(self) -> None:
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+        for file in self._files:
             os.close(file)
+        self._files = ()
 
     def _run(self) -> None:
-        self._serve(
-            self._master,
-            lambda: os.read(self._master, CHUNK),
-            lambda out: os.write(self._master, out),
-        )
+        while not self._stop.is_set():
+            os.set_blocking(self._master, False)
+            self._serve(self._master, partial(os.read, self._master, CHUNK), self._write)
+            if not self._is_unplugged():
+                continue
+            self._device.closed(self._clock.now_s())
+            self._unplug()
+            while self._is_unplugged() and not self._stop.wait(UNPLUGGED_S):
+                pass
+            self._plug()
+
+    def _write(self, out: bytes) -> None:
+        # Nobody reads: what does not fit is lost, as in the buffer of an adapter.
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._master, out)

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from backend.emulators.faults import Faults
 from backend.emulators.wsg_jaws import CLAMPING_TRAVEL_MM, Jaws, Motion, Profile
 from backend.wire import wsg_binary
 from backend.wire.wsg_binary import ACKNOWLEDGE_KEY, Number, Refused, Reply, Request
@@ -17,6 +18,7 @@ from backend.wire.wsg_words import Command, Status, SystemFlag
 SERIAL = 12345
 TEMPERATURE_C = 31.2
 _HOME_SPEED_MM_S = 50.0
+_BARRED = SystemFlag.FAST_STOP | SystemFlag.POWER_FAULT
 _MOTIONS = (Command.HOME, Command.PREPOSITION, Command.GRASP, Command.RELEASE)
 
 
@@ -31,9 +33,18 @@ class Update:
 
 
 class EmulatedWsg:
-    """``jaws.part_mm`` may be set at any time: a part comes, or is lost."""
+    """``jaws.part_mm`` may be set at any time: a part comes, or is lost.
 
-    def __init__(self, profile: Profile | None = None, part_mm: float | None = None) -> None:
+    ``faults``: those that the gripper itself can suffer from.
+    """
+
+    def __init__(
+        self,
+        profile: Profile | None = None,
+        part_mm: float | None = None,
+        faults: Faults | None = None,
+    ) -> None:
+        self._faults = faults or Faults("gripper")
         self.jaws = Jaws(profile or Profile(), part_mm)
         self._requests = wsg_binary.requests()
         self._updates: dict[Command, Update] = {}
@@ -58,6 +69,7 @@ class EmulatedWsg:
         """Return the result of a motion that ended, and the updates that are due."""
         ended = self.jaws.advance(now_s)
         replies = [Reply(*ended)] if ended else []
+        replies += self._suffer(now_s)
         replies += [reply for command in self._updates for reply in self._update(now_s, command)]
         return b"".join(map(wsg_binary.encode_reply, replies))
 
@@ -68,6 +80,18 @@ class EmulatedWsg:
         if not self._leaving:
             self._fast_stop()
         self._leaving = False
+
+    def _suffer(self, now_s: float) -> list[Reply]:
+        """Let the faults that are on have their effect; return the end of a motion they break."""
+        if self._faults.active("part_lost", now_s):
+            self.jaws.part_mm = None
+        broken: Motion | None = None
+        if self._faults.active("power", now_s) and SystemFlag.POWER_FAULT not in self.jaws.flags:
+            broken = self.jaws.halt()
+            self.jaws.flags |= SystemFlag.POWER_FAULT
+        if self._faults.active("fast_stop", now_s) and SystemFlag.FAST_STOP not in self.jaws.flags:
+            broken = self._fast_stop() or broken
+        return [Reply(broken.command, Status.CMD_ABORTED)] if broken else []
 
     def _answer(self, now_s: float, request: Request | Refused) -> list[Reply]:
         if isinstance(request, Refused):
@@ -89,7 +113,7 @@ class EmulatedWsg:
 
     def _move(self, now_s: float, command: Command, values: tuple[Number, ...]) -> Reply:
         jaws, refusal = self.jaws, Status.CMD_PENDING
-        if SystemFlag.FAST_STOP in jaws.flags:
+        if jaws.flags & _BARRED:
             refusal = Status.ACCESS_DENIED
         elif jaws.motion is not None:
             refusal = Status.ALREADY_RUNNING
@@ -110,8 +134,10 @@ class EmulatedWsg:
         return Reply(command, Status.CMD_PENDING)
 
     def _halt(self, command: int) -> list[Reply]:
-        ended = self._fast_stop() if command == Command.FAST_STOP else self.jaws.halt()
         self._leaving = command == Command.DISCONNECT
+        if self._leaving and self.jaws.motion is None:
+            return [Reply(command, Status.SUCCESS)]  # wsg.keeps_grip_after_07
+        ended = self._fast_stop() if command == Command.FAST_STOP else self.jaws.halt()
         aborted = [Reply(ended.command, Status.CMD_ABORTED)] if ended else []
         return [*aborted, Reply(command, Status.SUCCESS)]
 
@@ -123,7 +149,7 @@ class EmulatedWsg:
     def _acknowledge(self, request: Request) -> tuple[Status, tuple[Number, ...]]:
         if request.values != (ACKNOWLEDGE_KEY,):
             return Status.CMD_FORMAT_ERROR, ()
-        self.jaws.flags &= ~SystemFlag.FAST_STOP
+        self.jaws.flags &= ~_BARRED
         return Status.SUCCESS, ()
 
     def _set_acceleration(self, request: Request) -> tuple[Status, tuple[Number, ...]]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import getpass
+import sys
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +16,7 @@ from backend.core.facts import (
     Fact,
     FaultRaised,
     Gripped,
+    HandOverAwaited,
     ProbeCollected,
     RunFinished,
     Said,
@@ -21,6 +24,7 @@ from backend.core.facts import (
 from backend.core.faults import InputError
 from backend.runs.requests import CollectRequest
 from backend.runs.store import data_folder, dataset_folder
+from backend.runs.words import hand_over
 from backend.verbs.ctrl_c import ctrl_c_cancels
 from backend.verbs.screen import Advance, Screen
 
@@ -59,6 +63,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--check-origin", action="store_true", help="probe at known displacements first"
     )
+    parser.add_argument(
+        "--hand-over", action="store_true",
+        help="hand the piece to the gripper, where there is no jig; Enter confirms",
+    )  # fmt: skip
     parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
     parser.add_argument("--person", help="who collects (default: the account's name)")
     parser.add_argument(
@@ -81,6 +89,10 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         if getattr(args, flag) < 1:
             name = "--" + flag.replace("_", "-")
             raise InputError(f"{name} must be at least 1.", name, "Give a positive number.")
+    if args.hand_over and screen.json:
+        raise InputError(
+            "Nobody would see when to hold the piece.", "--hand-over", "Leave out --json."
+        )
     folder = Path(args.dataset) if args.dataset else dataset_folder()
     person = args.person or getpass.getuser()
     with Dataset.open(folder, create=not args.resume, person=person) as dataset:
@@ -91,7 +103,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         try:
             # The bar begins with the campaign: bad words are refused before anything is said.
             with ExitStack() as bars, ctrl_c_cancels(session.engine.cancel):
-                told = _Told(screen, bars)
+                told = _Told(screen, bars, session.answer)
                 session.hub.subscribe(told.take)
                 session.run(_request(args, dataset, person))
         finally:
@@ -102,8 +114,8 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
 class _Told:
     """What the run told so far, and the bar that follows it."""
 
-    def __init__(self, screen: Screen, bars: ExitStack) -> None:
-        self._screen, self._bars = screen, bars
+    def __init__(self, screen: Screen, bars: ExitStack, confirm: Callable[[bool], None]) -> None:
+        self._screen, self._bars, self._confirm = screen, bars, confirm
         self.advance: Advance | None = None
         self.began: CampaignBegan | None = None
         self.ended: RunFinished | None = None
@@ -126,6 +138,10 @@ class _Told:
             self._screen.say(
                 f"  mounting {fact.mounting}, grip {fact.grip}: {fact.mass_g:.1f} g held"
             )
+        elif isinstance(fact, HandOverAwaited):
+            self._screen.say(f"  {hand_over(fact)} Enter confirms.")
+            # The end of standard input is a no: nobody is there to hold anything.
+            self._confirm(sys.stdin.readline() != "")
         elif isinstance(fact, Said):
             self._screen.say(f"  {fact.text}")
         elif isinstance(fact, FaultRaised):
@@ -176,6 +192,7 @@ def _request(args: argparse.Namespace, dataset: Dataset, person: str) -> Collect
         origin_sigma_mm=args.origin_sigma,
         check_origin=args.check_origin,
         campaign=campaign,
+        hand_over=args.hand_over,
     )
 
 

@@ -42,7 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="page, JSON and jobs; an interrupted experiment goes on there (default: %(default)s)",
     )
-    parser.add_argument("--preset", default="hard", help="preset of the bench (default: hard)")
+    parser.add_argument(
+        "--preset", default="bench-v1", help="preset of the bench (default: %(default)s)"
+    )
     parser.add_argument("--bench", type=Path, metavar="FILE", help="settings of the bench (TOML)")
     parser.add_argument("--pieces", default="mushroom,barrel,pot", help="separated by commas")
     parser.add_argument(
@@ -122,7 +124,8 @@ def _recipe(args: argparse.Namespace, store: JobStore) -> Recipe:
     bench = load_simulation(args.bench, None if args.bench else args.preset)
     models = {}
     if not scale.probes:
-        models = adopt_models(store, args.models or models_that_ship(bench.preset))
+        folders = [args.models] if args.models else models_that_ship(bench.preset)
+        models = adopt_models(store, *folders)
     return Recipe(scale, bench, program_version(), models, pieces)
 
 

@@ -41,9 +41,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--held-out", type=float, default=0.2, metavar="SHARE",
-        help="share kept from training, in whole grips or mountings (default: 0.2)",
+        help="share kept from training, in whole series or mountings (default: 0.2)",
     )  # fmt: skip
-    parser.add_argument("--seed", type=int, default=0, help="which grips are held out")
+    parser.add_argument(
+        "--tables", action="store_true",
+        help="csv: also ft.csv, markers.csv and poses.csv of every episode",
+    )  # fmt: skip
+    parser.add_argument("--seed", type=int, default=0, help="which series are held out")
+    parser.add_argument(
+        "--divide-series", action="store_true",
+        help="let a pair of one series be on both sides, by grips; the manifest says so",
+    )  # fmt: skip
 
 
 def run(args: argparse.Namespace, screen: Screen) -> int:
@@ -56,7 +64,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     folder = Path(args.dataset) if args.dataset else dataset_folder()
     query = ExportQuery(
         args.piece, args.bottom, args.series, args.campaign, _states(args.states), args.held_out,
-        args.seed,
+        args.seed, args.divide_series,
     )  # fmt: skip
     with (
         Dataset.open(folder, create=False, write=False) as dataset,
@@ -64,7 +72,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     ):
         done = export(
             dataset,
-            export_format(args.format),
+            export_format(args.format, tables=args.tables),
             query,
             Path(args.out),
             args.video,

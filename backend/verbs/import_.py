@@ -72,9 +72,11 @@ def _episodes(args: argparse.Namespace, dataset: Dataset, actor: str, screen: Sc
     for loss in survey.losses:
         screen.say(f"  {loss}")
     written: list[str] = []
+    backup = ""
     if survey.fit and not args.check:
         with screen.progress("Writing", survey.fit) as advance:
             written = wanted.write(advance)
+        backup = _named(wanted.backup, screen)
         screen.say(f"{len(written)} episodes are new in {dataset.folder}, their labels drafts.")
     screen.result({
         "version": JSON_VERSION,
@@ -83,6 +85,7 @@ def _episodes(args: argparse.Namespace, dataset: Dataset, actor: str, screen: Sc
         "written": len(written),
         "problems": [{"why": why, "episodes": count} for why, count in survey.problems],
         "losses": list(survey.losses),
+        "backup": backup,
     })  # fmt: skip
     return 1 if survey.problems or not survey.found else 0
 
@@ -103,12 +106,14 @@ def _labels(args: argparse.Namespace, dataset: Dataset, screen: Screen) -> int:
         screen.say(f"  {uuid}: {why}")
     for warning in done.warnings:
         screen.say(f"  {warning}")
+    backup = _named(done.backup, screen)
     screen.result({
         "version": JSON_VERSION,
         "changed": done.changed,
         "unchanged": done.unchanged,
         "refused": [{"episode": uuid, "why": why} for uuid, why in done.refused],
         "warnings": list(done.warnings),
+        "backup": backup,
     })  # fmt: skip
     return 1 if done.refused else 0
 
@@ -123,7 +128,19 @@ def _log(args: argparse.Namespace, dataset: Dataset, screen: Screen) -> int:
         return 0
     done = journal_lines.take(dataset, args.source, args.person)
     screen.say(f"{done.operations} operations are new, {len(done.conflicts)} episodes in conflict.")
-    screen.result(
-        {"version": JSON_VERSION, "operations": done.operations, "conflicts": list(done.conflicts)}
-    )
+    backup = _named(done.backup, screen)
+    screen.result({
+        "version": JSON_VERSION,
+        "operations": done.operations,
+        "conflicts": list(done.conflicts),
+        "backup": backup,
+    })  # fmt: skip
     return 0
+
+
+def _named(backup: Path | None, screen: Screen) -> str:
+    """Say where the catalogue is as it was before the import, "" where nothing was to be kept."""
+    if backup is None:
+        return ""
+    screen.say(f"The catalogue as it was before is in {backup}.")
+    return str(backup)

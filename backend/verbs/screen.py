@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from typing import TextIO
 
 from rich.console import Console, RenderableType
+from rich.live import Live
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -73,6 +74,15 @@ class Screen:
             self.say(f"{title} ...")
         with bar:
             yield advance
+
+    @contextmanager
+    def status(self) -> Iterator[Callable[[RenderableType], None]]:
+        """Show something that changes; yields what sets it. Silent unless on a terminal."""
+        if self.json or not self._console.is_terminal:
+            yield lambda shown: None
+            return
+        with Live(console=self._console, refresh_per_second=4) as live:
+            yield live.update
 
     def result(self, mapping: Mapping[str, object]) -> None:
         """With ``json``: print ``mapping`` as the one JSON object; RuntimeError the second time.

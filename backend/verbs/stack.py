@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.table import Table
 
@@ -17,6 +19,11 @@ from backend.runs.store import data_folder, models_folder
 from backend.verbs.ctrl_c import ctrl_c_cancels
 from backend.verbs.screen import Screen
 from backend.verbs.settings import load_method
+
+if TYPE_CHECKING:
+    from backend.assembly import SimulatedBenchChoice
+    from backend.config.method import StackSettings
+    from backend.session import Keep, Session
 
 NAME = "stack"
 HELP = "stack a piece on the simulated bench, headless"
@@ -50,6 +57,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FAULT",
         help="scripted disturbance such as tactile_left:stop@3.0 (may be given several times)",
     )
+    parser.add_argument(
+        "--emulated",
+        action="store_true",
+        help="through real drivers and wires to emulated devices, in real time",
+    )
     parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
     parser.add_argument("--runs", metavar="DIR", help="folder for runs (default: data folder)")
     parser.add_argument("--no-episodes", action="store_true", help="keep the journal only")
@@ -57,9 +69,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, screen: Screen) -> int:
     """Run all trials; 0 if every piece was placed, else 1."""
+    if args.emulated and args.inject:
+        raise InputError(
+            "Emulated devices suffer by a fault plan.", "--inject", "See 'touchdown emulate'."
+        )
     # Imported here so that `touchdown doctor` starts without torch.
-    from backend.assembly import SimulatedBenchChoice, simulated_session
-    from backend.learning.registry import Registry
+    from backend.assembly import SimulatedBenchChoice
     from backend.session import Keep
 
     if args.trials < 1:
@@ -81,24 +96,41 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     )
     keep = Keep(runs, episodes=not args.no_episodes)
     method = load_method(args.method) if args.method else None
-    session = simulated_session(
-        choice, keep=keep, method=method, animate=True, registry=Registry(models_folder())
-    )
     trials: list[TrialFinished] = []
     faults: list[FaultRaised] = []
-    session.hub.subscribe(lambda fact: _follow(fact, trials, faults))
-    session.hub.subscribe(lambda fact: narrate(fact, screen))
-    try:
+    with _session(choice, keep, method, emulated=args.emulated) as session:
+        session.hub.subscribe(lambda fact: _follow(fact, trials, faults))
+        session.hub.subscribe(lambda fact: narrate(fact, screen))
         with ctrl_c_cancels(session.engine.cancel):
             session.run(request)
-    finally:
-        session.close()
     screen.show(trial_table(trials))
     if session.run_folder is not None:
         screen.say(f"Kept in {session.run_folder}")
     screen.result(_result(args, trials, faults, session.run_folder))
     placed = [t for t in trials if t.outcome is Outcome.PLACED]
     return 0 if len(placed) == request.trials and not faults else 1
+
+
+@contextmanager
+def _session(
+    choice: SimulatedBenchChoice, keep: Keep, method: StackSettings | None, *, emulated: bool
+) -> Iterator[Session]:
+    """Open a session on the simulated bench, or on the emulated one; close it in the end."""
+    from backend.assembly import simulated_session
+    from backend.learning.registry import Registry
+
+    registry = Registry(models_folder())
+    if emulated:
+        from backend.emulated import EmulatedBench
+
+        with EmulatedBench(choice, keep=keep, method=method, registry=registry) as bench:
+            yield bench.session
+        return
+    session = simulated_session(choice, keep=keep, method=method, animate=True, registry=registry)
+    try:
+        yield session
+    finally:
+        session.close()
 
 
 def _follow(fact: Fact, trials: list[TrialFinished], faults: list[FaultRaised]) -> None:

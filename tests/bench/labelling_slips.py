@@ -42,15 +42,20 @@ def _row(name: str, badged: list[bool], target: str, *, low: float, high: float)
     return Figure(name, share, "%", target, low <= share <= high, note)
 
 
-def _collect(dataset: Any) -> dict[float, bool]:
-    """Return for each picture, by its time, whether the piece had slipped."""
+Taken = tuple[int, float]
+"""Mounting (0, 1, ...) and time of a picture: the clock begins anew with every mounting."""
+
+
+def _collect(dataset: Any) -> dict[Taken, bool]:
+    """Return for each picture whether the piece had slipped."""
     from backend.assembly import simulated_session
     from backend.devices.sim.bench import SimulatedBench
     from backend.runs.requests import CollectRequest
     from backend.session import Keep
     from backend.simulation import holding
 
-    rng, grips, slipped = np.random.default_rng(5), [0], {}
+    rng, grips, slipped = np.random.default_rng(5), [0], dict[Taken, bool]()
+    last: Taken = (0, 0.0)
     draw, picture = holding.draw_gripping, SimulatedBench.scene_picture
 
     def drawn(*given: Any) -> Any:
@@ -63,10 +68,11 @@ def _collect(dataset: Any) -> dict[float, bool]:
         return dataclasses.replace(grip, grasp_offset_mm=(x_mm, z_mm))
 
     def seen(bench: SimulatedBench) -> Any:
-        at_s = round(bench.clock.now_s(), 6)
-        if at_s and at_s in slipped:
+        nonlocal last
+        at_s, now = round(bench.clock.now_s(), 6), grips[0] % EVERY == 0
+        last = (last[0] + (at_s < last[1]), at_s)
+        if slipped.setdefault(last, now) is not now:
             raise RuntimeError("two pictures at one time: nobody could tell which slipped")
-        slipped[at_s] = grips[0] % EVERY == 0
         return picture(bench)
 
     with (
@@ -80,7 +86,7 @@ def _collect(dataset: Any) -> dict[float, bool]:
     return slipped
 
 
-def _judged(dataset: Any, slipped: dict[float, bool]) -> list[tuple[bool, bool]]:
+def _judged(dataset: Any, slipped: dict[Taken, bool]) -> list[tuple[bool, bool]]:
     """Return (slipped, badged) of each probe that was no refused observation."""
     from app.label.edit import Edit
     from app.label.evidence import badges_of
@@ -90,12 +96,13 @@ def _judged(dataset: Any, slipped: dict[float, bool]) -> list[tuple[bool, bool]]
     from backend.objects.catalogue import load_catalogue
 
     read = reader(dataset, Prelabeller(load_catalogue(), model_of), lambda: None)
-    judged = []
+    judged, mountings = [], dict[str, int]()
     for entry in dataset.episodes():
+        mounting = mountings.setdefault(entry.mounting_id, len(mountings))
         if entry.quality.accepted:
             item = read(entry.uuid)
             assert item.episode.recording is not None
             at_s = round(item.episode.recording.scene[0].t_s, 6)
             badge = badges_of(Edit.of(dataset.labels.head(entry.uuid)), item)
-            judged.append((slipped[at_s], bool(badge)))
+            judged.append((slipped[mounting, at_s], bool(badge)))
     return judged

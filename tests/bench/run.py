@@ -32,6 +32,8 @@ MODULES: tuple[str, ...] = (
     "tests.bench.experiments",
     "tests.bench.store_files",
     "tests.bench.queues",
+    "tests.bench.arm",
+    "tests.bench.wired",
 )
 """Modules that register figures, in the order of the table."""
 

@@ -1,4 +1,4 @@
-"""Figures of the window at full load, and of the decisions beside it."""
+"""Figures of the window: at full load, beside decisions, at its start, over half an hour."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from tests.bench.registry import Figure, figure
 
 START_S = 160
 """Longest time from the command to the first measured second."""
+SOAK_S = 3600
+"""Longest time for 30 simulated minutes: alone on a machine they take 12."""
 LOAD_S, DECISIONS_S = 20.0, 660.0
 """A probe takes 6.4 s on the bench, so that 660 s hold 100 decisions."""
 
@@ -54,20 +56,53 @@ def decisions_beside_the_window() -> list[Figure]:
     ]
 
 
+@figure("window-soak")
+def window_for_half_an_hour() -> list[Figure]:
+    """Let the window show 30 simulated minutes of stacking, all pages in turn."""
+    answer = _child("tests.bench.window_soak", SOAK_S)
+    name = "memory of the window, slope over 30 simulated minutes"
+    if isinstance(answer, str):
+        return [Figure(name, None, "MB/min", "<= 1", False, answer)]
+    slope, left = answer["slope_mb_per_min"], answer["threads_left"] + answer["timers_left"]
+    note = f"{answer['memory_mb']:.0f} MB at the end, {answer['wall_s']:.0f} s"
+    return [
+        Figure(name, slope, "MB/min", "<= 1", slope <= 1.0, note),
+        Figure("threads and timers left after the window", left, "", "0", left == 0),
+    ]
+
+
+@figure("window")
+def window_start() -> list[Figure]:
+    """Start the window twice in one process."""
+    answer = _child("tests.bench.window_start", START_S)
+    if isinstance(answer, str):
+        return [Figure("window, start to live pictures", None, "s", "<= 3", False, answer)]
+    warm_s, cold_s = answer["warm_s"], answer["cold_s"]
+    return [
+        Figure("window, start to live pictures, imports warm", warm_s, "s", "<= 3", warm_s <= 3),
+        Figure("window, start to live pictures, from the command", cold_s, "s", "stated", None),
+    ]
+
+
+def _child(module: str, most_s: float) -> dict[str, float] | str:
+    """Return what a child process printed, or why it did not."""
+    return _answer([sys.executable, "-m", module], most_s)
+
+
 def _measured(seconds: float) -> dict[str, float] | str:
     """Return what the window measured of itself in ``seconds``, or why it did not."""
     command = [sys.executable, "-m", "app", "--measure", "--after", f"{seconds:g}"]
+    return _answer([*command, "--size", "1600x940"], START_S + seconds)
+
+
+def _answer(command: list[str], most_s: float) -> dict[str, float] | str:
+    root = Path(__file__).resolve().parents[2]
     try:
         done = subprocess.run(
-            [*command, "--size", "1600x940"],
-            check=False,
-            capture_output=True,
-            text=True,
-            timeout=START_S + seconds,
-            cwd=Path(__file__).resolve().parents[2],
+            command, check=False, capture_output=True, text=True, timeout=most_s, cwd=root
         )
     except subprocess.TimeoutExpired:
-        return "it never began to measure"
+        return "it took too long"
     try:
         figures: dict[str, float] = json.loads(done.stdout.strip().splitlines()[-1])
     except (ValueError, IndexError):

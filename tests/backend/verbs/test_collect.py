@@ -40,6 +40,7 @@ def test_a_campaign_is_collected_and_gone_on_with(tmp_path, capsys) -> None:
         (["--piece", "cup"], "no piece 'cup'"),
         (["--probes-per-grip", "0"], "--probes-per-grip must be at least 1"),
         (["--preset", "calm"], "no preset 'calm'"),
+        (["--hand-over", "--json"], "Nobody would see"),
     ],
 )
 def test_bad_input_is_one_clear_error(words, said, tmp_path, capsys) -> None:

@@ -68,6 +68,7 @@ def test_an_edited_table_without_its_manifest(folder: Path, say: Any, tmp_path: 
     assert "missing or cut short" in str(answer) or "changed since" in str(answer)
     code, answer = say("import", "csv", table, *words)
     assert (code, answer["changed"]) == (0, 1)
+    assert Path(answer["backup"]).parent == folder / "backup"
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,8 @@ def test_scripts_get_one_object_and_nothing_else():
     with screen.progress("Working", 3) as advance:
         advance(1, "one")
         advance(3)
+    with screen.status() as show:
+        show(Table(title="changing"))
     screen.result({"done": True})
     assert json.loads(stream.getvalue()) == {"done": True}
     assert stream.getvalue().count("\n") == 1

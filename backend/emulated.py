@@ -1,0 +1,161 @@
+"""A session on the emulated bench: real drivers, sockets, terminals and pipes, simulated physics.
+
+The same scenes and seeds as on the simulated bench; time is the wall's, connecting takes seconds.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+from collections.abc import Mapping
+from contextlib import ExitStack
+from importlib.metadata import version
+from pathlib import Path
+from types import TracebackType
+
+from backend.assembly import Models, SimulatedBenchChoice, SimulatedScoring, make_scene
+from backend.config.bench_facts import simulated_facts
+from backend.config.hardware import HardwareSettings
+from backend.config.load import load
+from backend.config.method import StackSettings
+from backend.core.clock import MonotonicClock
+from backend.core.flow import Pose
+from backend.emulated_child import EmulatedProcess
+from backend.emulators.faults import FaultPlan
+from backend.emulators.joined_serving import BENCH_FILE
+from backend.emulators.truth import RemoteTruth
+from backend.learning.registry import Registry
+from backend.objects.catalogue import load_catalogue
+from backend.rig.wired import WiredDevices
+from backend.runs.bench import NoModel
+from backend.runs.requests import SceneChoice
+from backend.runs.stage import Stage
+from backend.sensing.live import RawStreams
+from backend.sensing.tare import gripper_payload
+from backend.session import Keep, Session
+from backend.simulation.holding import start_command_mm
+from backend.simulation.scene import Scene
+
+
+class EmulatedBench:
+    """Holds the session and, scene by scene, the emulated devices and their drivers.
+
+    ``plan``: what goes wrong, by the time since a scene was set. Close it when done.
+    """
+
+    def __init__(
+        self,
+        choice: SimulatedBenchChoice | None = None,
+        *,
+        keep: Keep | None = None,
+        method: StackSettings | None = None,
+        registry: Registry | None = None,
+        plan: FaultPlan | None = None,
+    ) -> None:
+        choice = choice or SimulatedBenchChoice()
+        self._settings, self._plan = choice.settings(), plan or FaultPlan()
+        self._pieces, self._catalogue = choice.pieces, load_catalogue(choice.pieces)
+        self._method = method or StackSettings()
+        self._clock = BenchClock()
+        facts = simulated_facts(self._settings)
+        self._models = Models(registry, facts, self._method.belief.pitch_mm)
+        self._present, self._process = ExitStack(), EmulatedProcess()
+        self.session = Session(
+            self._make_stage,
+            self._check,
+            self._catalogue,
+            settings=self._method,
+            keep=keep or Keep(),
+            facts=facts,
+        )
+
+    def close(self) -> None:
+        """End the run, disconnect the drivers, then take the emulated devices away."""
+        self.session.close()
+        self._present.close()
+        self._process.close()
+
+    def __enter__(self) -> EmulatedBench:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _make_stage(self, choice: SceneChoice, raw: RawStreams) -> Stage:
+        self._present.close()
+        scene = make_scene(self._catalogue, choice, self._settings)
+        estimator = self._models.of(choice, scene.piece) or NoModel()
+        with ExitStack() as stack:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            address = self._process.set_scene(
+                choice, self._settings, self._plan, folder, self._pieces
+            )
+            hardware = load(HardwareSettings, folder / BENCH_FILE)
+            wired = WiredDevices(
+                hardware,
+                self._clock.now_s,
+                raw.frames,
+                raw.samples,
+                raw.poses,
+            )
+            stack.callback(wired.close)
+            wired.connect(threading.Event())
+            wired.home()
+            self._present = stack.pop_all()
+        truth = RemoteTruth(scene, address)
+        wrist = self._settings.wrist
+        return Stage(
+            clock=self._clock,
+            devices=wired.devices,
+            arm=wired.arm,
+            gripper=wired.gripper,
+            piece=scene.piece,
+            bottom="+".join(choice.bottoms),
+            advance=self._clock.wait,
+            scoring=SimulatedScoring(truth, self._method.policy.longest_step_mm, False),
+            estimator=estimator,
+            payload=gripper_payload(wrist.payload_kg, wrist.payload_com_mm),
+            outline=scene.surface,
+            jig=_jig(scene),
+            wrench_late_s=1e-3 * hardware.ft.latency_ms,
+        )
+
+    def _check(self, choice: SceneChoice) -> Mapping[str, object]:
+        scene = make_scene(self._catalogue, choice, self._settings)
+        loaded = self._models.check(choice, scene.piece)
+        return {
+            "emulated": True,
+            "simulation": self._settings.model_dump(mode="json"),
+            "faults": self._plan.model_dump(mode="json"),
+            "model": loaded
+            and {"piece": loaded.card.piece, "weights_sha256": loaded.card.weights_sha256},
+            "program": version("touchdown"),
+        }
+
+
+class BenchClock:
+    """The wall's time since the bench was made, and waiting on it without drifting away."""
+
+    def __init__(self) -> None:
+        self._wall, self._never = MonotonicClock(), threading.Event()
+        self._begun_s = self._wall.now_s()
+        self._due_s = 0.0
+
+    def now_s(self) -> float:
+        """Return the present time in s."""
+        return self._wall.now_s() - self._begun_s
+
+    def wait(self, step_us: int) -> None:
+        """Wait until a step after the last one; what came too late is not made up."""
+        now_s = self.now_s()
+        self._due_s = max(self._due_s + 1e-6 * step_us, now_s)
+        self._never.wait(self._due_s - now_s)
+
+
+def _jig(scene: Scene) -> Pose | None:
+    return Pose(*start_command_mm(scene).tolist()) if scene.jig else None

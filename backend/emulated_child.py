@@ -1,0 +1,130 @@
+"""The process of an emulated bench: one scene after the other, as lines of JSON on its input.
+
+Its own process, so that the arm's stream of 3.5 ms shares no interpreter with drivers and plans.
+It ends when its input does: also if whoever started it has died.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from contextlib import ExitStack, suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import IO, Any
+
+from backend.assembly import make_scene
+from backend.config.simulation import SimulationSettings
+from backend.core.faults import Fault, FaultError
+from backend.emulators.faults import FaultPlan
+from backend.emulators.front import TcpFront
+from backend.emulators.joined_serving import serve_bench
+from backend.emulators.truth import EmulatedTruth
+from backend.objects.catalogue import load_catalogue
+from backend.runs.requests import SceneChoice
+
+END_S = 5.0
+
+
+class EmulatedProcess:
+    """Starts the process with the first scene; ``close`` ends it."""
+
+    def __init__(self) -> None:
+        self._child: subprocess.Popen[str] | None = None
+
+    def set_scene(
+        self,
+        choice: SceneChoice,
+        settings: SimulationSettings,
+        plan: FaultPlan,
+        folder: Path,
+        pieces: Path | None = None,
+    ) -> tuple[str, int]:
+        """Emulate a scene with the bench file in ``folder``; return where its truth is told.
+
+        Raises ``FaultError`` if the process has died.
+        """
+        child = self._running()
+        order = {
+            "choice": asdict(choice),
+            "settings": settings.model_dump(mode="json"),
+            "plan": plan.model_dump(mode="json"),
+            "folder": str(folder),
+            "pieces": None if pieces is None else str(pieces),
+        }
+        assert child.stdin is not None
+        assert child.stdout is not None
+        try:
+            child.stdin.write(json.dumps(order) + "\n")
+            child.stdin.flush()
+        except BrokenPipeError as error:
+            raise FaultError(GONE) from error
+        answer = child.stdout.readline()
+        if not answer:
+            raise FaultError(GONE)
+        host, port = json.loads(answer)
+        return str(host), int(port)
+
+    def close(self) -> None:
+        """End the process."""
+        child, self._child = self._child, None
+        if child is None:
+            return
+        for pipe in (child.stdin, child.stdout):
+            if pipe is not None:
+                with suppress(BrokenPipeError):  # it has died with an order unread
+                    pipe.close()
+        try:
+            child.wait(END_S)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()
+
+    def _running(self) -> subprocess.Popen[str]:
+        if self._child is None:
+            self._child = subprocess.Popen(
+                [sys.executable, "-m", __name__],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+            )
+        return self._child
+
+
+GONE = Fault(
+    "BENCH-GONE",
+    "The process of the emulated bench has ended.",
+    "All emulated devices are gone.",
+    "Start anew; its last words are on standard error.",
+)
+
+
+def serve(orders: IO[str], answers: IO[str]) -> None:
+    """Emulate the scene of each line until there are no more."""
+    with ExitStack() as present:
+        for line in orders:
+            present.close()
+            address = _set(json.loads(line), present)
+            answers.write(json.dumps(address) + "\n")
+            answers.flush()
+
+
+def _set(order: dict[str, Any], present: ExitStack) -> tuple[str, int]:
+    chosen = {**order["choice"], "bottoms": tuple(order["choice"]["bottoms"])}
+    pieces = None if order["pieces"] is None else Path(order["pieces"])
+    settings = SimulationSettings.model_validate(order["settings"])
+    scene = make_scene(load_catalogue(pieces), SceneChoice(**chosen), settings)
+    plan = FaultPlan.model_validate(order["plan"])
+    joined, emulation = serve_bench(scene, Path(order["folder"]), plan)
+    told = TcpFront(EmulatedTruth(joined))
+    for ending in (told.close, emulation.close, joined.close):
+        present.callback(ending)
+    joined.start()
+    emulation.start()
+    told.start()
+    return told.address
+
+
+if __name__ == "__main__":
+    serve(sys.stdin, sys.stdout)

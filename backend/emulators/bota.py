@@ -1,0 +1,78 @@
+"""An emulated Bota SensONE: streams from power-on, is configured by text, counts microseconds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from backend.emulators.pace import Pace
+from backend.wire import bota
+from backend.wire.bota import SINC_STEP_S, Boot, Frame, Reply, Request, Status
+
+RATED = (500.0, 500.0, 1200.0, 15.0, 15.0, 12.0)
+TEMPERATURE_C = 27.5
+DEFAULT_SINC = 512
+TIMESTAMP_TURN = 1 << 32
+
+
+class EmulatedBota:
+    """``wrench(now_s)`` gives six values, N and N·m; ``quiet_in_config`` as in the settings."""
+
+    def __init__(
+        self,
+        wrench: Callable[[float], Sequence[float]],
+        *,
+        rated: Sequence[float] = RATED,
+        quiet_in_config: bool = True,
+    ) -> None:
+        self._wrench, self._rated = wrench, tuple(rated)
+        self._quiet_in_config = quiet_in_config
+        self._requests = bota.requests()
+        self._pace = Pace()
+        self._sinc = DEFAULT_SINC
+        self._booted = self._configuring = False
+
+    def receive(self, now_s: float, data: bytes) -> bytes:
+        """Take text commands; return the answers."""
+        return b"".join(self._answer(now_s, request) for request in self._requests.feed(data))
+
+    def due(self, now_s: float) -> bytes:
+        """Return the boot text once, then the frames up to now."""
+        boot = b""
+        if not self._booted:
+            self._booted = True
+            boot = bota.encode(Boot())
+            self._pace.begin(now_s, self._period_s)
+        _, times = self._pace.due(now_s)
+        return boot + b"".join(map(self._frame, times))
+
+    def closed(self, now_s: float) -> None:
+        """Start again with the next client, as a sensor powered by its plug does."""
+        self._booted = self._configuring = False
+        self._sinc = DEFAULT_SINC
+        self._pace.end()
+        self._requests.reset()
+
+    @property
+    def _period_s(self) -> float:
+        return self._sinc * SINC_STEP_S
+
+    def _answer(self, now_s: float, request: Request) -> bytes:
+        if request.command == "C":
+            self._configuring = True
+            if self._quiet_in_config:
+                self._pace.end()
+        elif not self._configuring:
+            return b""
+        elif request.command == "f":
+            self._sinc = request.arguments[0]
+        elif request.command == "R":
+            self._configuring = False
+            self._pace.begin(now_s + self._period_s, self._period_s)
+        return bota.encode(Reply(request.command, 0))
+
+    def _frame(self, now_s: float) -> bytes:
+        values = tuple(self._wrench(now_s))
+        over = any(abs(v) > rated for v, rated in zip(values, self._rated, strict=True))
+        status = int(Status.OVER_RANGE) if over else 0
+        timestamp_us = round(now_s * 1e6) % TIMESTAMP_TURN
+        return bota.encode(Frame(status, values, timestamp_us, TEMPERATURE_C))

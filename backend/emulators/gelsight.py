@@ -1,0 +1,168 @@
+"""An emulated GelSight Mini: a folder that looks like the system's, a pipe in place of a device.
+
+``by-id`` holds the stable link, ``names`` the card names, ``nodes`` the devices. After a replug the
+camera is another node, as a real one is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from backend.core.clock import Clock
+from backend.core.flow import ImageArray
+from backend.emulators.faults import Faults
+from backend.emulators.front import Front
+from backend.emulators.gel_pictures import Pictures
+
+RATE_HZ = 25.0
+QUALITY = 95
+DARKENING = 16
+SERIAL = "2D8Y-69GR"
+IDLE_S = 0.01
+
+
+class GelsightFront(Front):
+    """Writes pictures into ``folder`` at ``rate_hz`` until closed; several may share a folder."""
+
+    def __init__(
+        self,
+        pictures: Pictures,
+        folder: Path,
+        serial: str = SERIAL,
+        *,
+        rate_hz: float = RATE_HZ,
+        clock: Clock | None = None,
+        faults: Faults | None = None,
+    ) -> None:
+        super().__init__(clock, faults or Faults("tactile_left"))
+        self._pictures, self._folder, self._serial = pictures, folder, serial
+        self._period_s = 1.0 / rate_hz
+        self._last: bytes | None = None
+        for part in ("by-id", "names", "nodes"):
+            (folder / part).mkdir(parents=True, exist_ok=True)
+        self._node = self._plug()
+        self._file: int | None = None
+
+    @property
+    def url(self) -> str:
+        """The stable link."""
+        return str(self._link)
+
+    def close(self) -> None:
+        """Stop and take the device away."""
+        super().close()
+        self._pull()
+
+    @property
+    def _link(self) -> Path:
+        name = f"usb-Arducam_GelSight_Mini_R0B_{self._serial}:_Ge-video-index0"
+        return self._folder / "by-id" / name
+
+    def _plug(self) -> Path:
+        """Make the pipe under the first free number, and the entries that lead to it."""
+        number = 0
+        while True:
+            node = self._folder / "nodes" / f"video{number}"
+            try:
+                os.mkfifo(node)
+                break
+            except FileExistsError:
+                number += 2  # the odd ones carry no pictures
+        entry = self._folder / "names" / node.name
+        entry.mkdir(exist_ok=True)
+        (entry / "name").write_text(f"GelSight Mini R0B {self._serial}: Ge\n", "utf-8")
+        (entry / "index").write_text("0\n", "ascii")
+        self._link.unlink(missing_ok=True)
+        self._link.symlink_to(Path("..") / "nodes" / node.name)
+        return node
+
+    def _pull(self) -> None:
+        self._hang_up()
+        if self._link.is_symlink() and self._link.readlink().name == self._node.name:
+            self._link.unlink()
+        shutil.rmtree(self._folder / "names" / self._node.name, ignore_errors=True)
+        self._node.unlink(missing_ok=True)
+
+    def _run(self) -> None:
+        due_s = self._clock.now_s()
+        while not self._stop.is_set():
+            if self._is_unplugged():
+                self._replug()
+            now_s = self._clock.now_s()
+            if now_s < due_s:
+                self._stop.wait(min(due_s - now_s, IDLE_S))
+                continue
+            due_s = max(due_s + self._period_s, now_s - self._period_s)
+            picture = self._picture(now_s)
+            taken = [] if picture is None else [picture]
+            for out in self.faults.outgoing(now_s, taken):
+                self._write(self.damage(out))
+
+    def _replug(self) -> None:
+        """Be away as long as the fault lasts; come back as another node."""
+        before = self._node
+        self._pull()
+        while self._is_unplugged() and not self._stop.wait(IDLE_S):
+            pass
+        before.touch()
+        self._node = self._plug()
+        before.unlink()
+
+    def _picture(self, now_s: float) -> bytes | None:
+        picture = self._pictures(now_s)
+        if picture is None:
+            return None
+        if self._last is not None and self.faults.active("freeze", now_s):
+            return self._last
+        if self.faults.active("dark", now_s):
+            picture = np.asarray(picture // DARKENING, dtype=np.uint8)
+        self._last = encode(picture)
+        return self._last
+
+    def _write(self, out: bytes) -> None:
+        """Write one picture while somebody reads; what nobody takes in time is lost."""
+        if not self._answered():
+            return
+        rest, file = memoryview(out), self._file
+        while rest and file is not None and not self._stop.is_set():
+            try:
+                rest = rest[os.write(file, rest) :]
+            except BlockingIOError:
+                if not select.select([], [file], [], self._period_s)[1]:
+                    break
+            except BrokenPipeError:
+                self._hang_up()
+                return
+        self._gave(out[: len(out) - len(rest)])
+
+    def _answered(self) -> bool:
+        """Whether somebody reads the pipe; opens it for writing when the first one does."""
+        if self._file is None:
+            with contextlib.suppress(OSError):  # nobody reads
+                self._file = os.open(self._node, os.O_WRONLY | os.O_NONBLOCK)
+                self.clients += 1
+        return self._file is not None
+
+    def _hang_up(self) -> None:
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
+
+
+def encode(picture: ImageArray) -> bytes:
+    """Return the JPEG of a picture as the camera makes it: quality 95, no colour subsampling."""
+    options = [
+        cv2.IMWRITE_JPEG_QUALITY,
+        QUALITY,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
+    ]
+    _, content = cv2.imencode(".jpg", picture, options)
+    return bytes(content)

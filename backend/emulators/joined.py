@@ -1,0 +1,197 @@
+"""All emulated devices around one simulated scene: the arm carries, sensors feel, jaws hold.
+
+The world follows the joints of the emulated controller in real time. The arm itself is stiff: where
+it gives way, the driver's law makes it.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+
+import numpy as np
+
+from backend.config.hardware import MelfaSettings
+from backend.config.method import ProbeSettings
+from backend.core.faults import Fault
+from backend.core.flow import FINGERS, Finger, FloatArray, ImageArray
+from backend.emulators.faults import Faults
+from backend.emulators.melfa import EmulatedMelfa
+from backend.emulators.melfa_arm import frame_of, solve
+from backend.emulators.melfa_controller import READY_RAD
+from backend.emulators.wsg import EmulatedWsg
+from backend.simulation.arm import Cycle
+from backend.simulation.scene import Scene
+from backend.simulation.scoring import Truth
+from backend.simulation.world import Sensed, World
+
+STIFF_N_MM = 1000.0
+NEXT_PROBE_MM = 2.0
+"""A descent below this height over first touch is another probe: its nuisances are drawn."""
+BEHIND_S = 0.5
+"""A world later than this gives up catching up."""
+LATENCY_S = 0.020
+"""Age of a wrist sample when the sensor has it: the cycle in which it arises, and its computing."""
+KEPT = 500
+"""Wrist samples that are kept for the sensor."""
+CONTACT_MM = 0.02
+
+
+class JoinedScene:
+    """One scene and what its devices have of it; time passes on a thread of its own."""
+
+    def __init__(self, scene: Scene, settings: MelfaSettings) -> None:
+        self._scene, self.world = scene, World(scene)
+        self.frame = BenchFrame(settings)
+        start = self.frame.joints(self.world.drive.command_mm)
+        self.melfa = EmulatedMelfa(settings, start_rad=start)
+        self.world.drive.run(Carried(self))
+        self._zero_s = 0.0
+        self._felt: tuple[float, FloatArray] = (0.0, np.zeros((1, 6)))
+        self._rng = np.random.default_rng(scene.seed)
+        self._pictures: dict[Finger, ImageArray] = {}
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="world", daemon=True)
+        self.late = 0
+        """Cycles that were given up."""
+
+    @property
+    def scene(self) -> Scene:
+        """What was set up."""
+        return self._scene
+
+    def start(self) -> None:
+        """Let time pass."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop time."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    @property
+    def pivot_mm(self) -> FloatArray:
+        """Where the emulated arm has ``G`` now, (3,) mm in the bench."""
+        return self.frame.pivot_mm(self.melfa.controller.joints.true_rad.copy())
+
+    def wrench(self, now_s: float) -> tuple[float, ...]:
+        """Return what the wrist felt ``LATENCY_S`` before ``now_s`` (monotonic), N and N·m.
+
+        A world that is late has the newest sample once more, with the noise of another one.
+        """
+        newest_s, rows = self._felt
+        wrist = self._scene.settings.wrist
+        behind = round((newest_s - (now_s - self._zero_s - LATENCY_S)) * wrist.rate_hz)
+        row = rows[max(-1 - behind, -len(rows))] if behind >= 0 else rows[-1]
+        if behind < 0:
+            white = np.repeat([wrist.white_n, wrist.white_nm], 3)
+            row = row + white * self._rng.standard_normal(6)
+        return tuple(row.tolist())
+
+    def picture(self, finger: Finger) -> ImageArray | None:
+        """Return the newest picture of a finger; None if it was given already."""
+        return self._pictures.pop(finger, None)
+
+    def truth(self, *, animate: bool = False) -> Truth:
+        """Return how things really are."""
+        return self.world.truth(animate=animate)
+
+    def step(self) -> Sensed:
+        """Advance the world by one cycle and hand out what was sensed."""
+        sensed = self.world.step()
+        rows = np.concatenate([self._felt[1], sensed.wrench])[-KEPT:]
+        self._felt = (1e-6 * sensed.end_us, rows)
+        for finger in FINGERS:
+            if sensed.shots[finger]:
+                self._pictures[finger] = sensed.shots[finger][-1].image
+        return sensed
+
+    def _run(self) -> None:
+        """Step each cycle as soon as it is over: so it knows where the arm has come to."""
+        self._zero_s = time.monotonic() - 1e-6 * self.world.now_us
+        while not self._stop.is_set():
+            over_s = self._zero_s + 1e-6 * (self.world.now_us + self.world.cycle_us)
+            wait_s = over_s - time.monotonic()
+            if wait_s > 0.0:
+                self._stop.wait(wait_s)
+            elif wait_s < -BEHIND_S:
+                self._zero_s -= wait_s
+                self.late += round(-1e6 * wait_s / self.world.cycle_us)
+            else:
+                self.step()
+
+
+class BenchFrame:
+    """Where the bench stands in the base of the arm, by the chain of joint frames."""
+
+    def __init__(self, settings: MelfaSettings) -> None:
+        yaw, hand = math.radians(settings.yaw_deg), math.radians(settings.hand_deg)
+        self._origin_mm, self._tool_mm = np.array(settings.origin_mm), settings.tool_mm
+        self._turn = _about_z(yaw)
+        self._hand = _about_z(yaw + hand) @ np.diag([1.0, -1.0, -1.0])
+
+    def pivot_mm(self, joints_rad: FloatArray) -> FloatArray:
+        """Return (3,) where ``G`` is in the bench."""
+        frame = frame_of(joints_rad)
+        at_mm = frame[:3, 3] + self._tool_mm * frame[:3, 2]
+        return np.asarray(self._turn.T @ (at_mm - self._origin_mm))
+
+    def joints(self, pivot_mm: FloatArray) -> FloatArray:
+        """Return (6,) joints that have ``G`` there, hand down; ``ValueError`` out of reach."""
+        frame = np.eye(4)
+        frame[:3, :3] = self._hand
+        frame[:3, 3] = self._origin_mm + self._turn @ pivot_mm - self._tool_mm * self._hand[:, 2]
+        found = solve(frame, READY_RAD)
+        if found is None:
+            raise ValueError("the scene is out of reach of the arm")
+        return found
+
+
+class Carried:
+    """The program of the world's arm: go where the joints of the emulated arm are."""
+
+    done = False
+    failure: Fault | None = None
+
+    def __init__(self, joined: JoinedScene) -> None:
+        self._joined = joined
+
+    def next_mm(self, command_mm: FloatArray, cycle: Cycle) -> FloatArray:
+        """Return where the arm is; a descent begins the next probe."""
+        here, holding = self._joined.pivot_mm, self._joined.world.holding
+        if holding is not None and not holding.sensed and here[2] < command_mm[2]:
+            height = float(here[2]) - holding.touch_height_mm
+            if CONTACT_MM < height < NEXT_PROBE_MM:
+                holding.begin_probe(ProbeSettings(stiffness_n_mm=(STIFF_N_MM,) * 3))
+        return here
+
+
+class JoinedWsg(EmulatedWsg):
+    """The emulated gripper whose jaws hold the piece of the scene."""
+
+    def __init__(self, joined: JoinedScene, faults: Faults | None = None) -> None:
+        super().__init__(part_mm=joined.scene.piece.width_mm, faults=faults)
+        self._world, self._piece_mm = joined.world, joined.scene.piece.width_mm
+        self._held = False
+
+    def due(self, now_s: float) -> bytes:
+        """Return what the gripper sends, and let the world know of its jaws."""
+        hand = self._world.jaws
+        self.jaws.part_mm = self._piece_mm if hand.piece_present else None
+        out = super().due(now_s)
+        motion = self.jaws.motion
+        if not self._held and self.jaws.force_n > 0.0:
+            self._held = True
+            hand.width_mm = self._piece_mm
+            hand.close(0.5 * self.jaws.force_n)
+        elif self._held and motion is not None and motion.velocity_mm_s > 0.0:
+            self._held = False
+            hand.open_to(motion.target_mm, motion.velocity_mm_s)
+        return out
+
+
+def _about_z(angle_rad: float) -> FloatArray:
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

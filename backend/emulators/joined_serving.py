@@ -1,0 +1,67 @@
+"""A whole emulated bench behind real wires, and the bench file that leads to it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from backend.config.hardware import HardwareSettings
+from backend.core.flow import FINGERS, Finger
+from backend.emulators.dynpick import EmulatedDynpick
+from backend.emulators.faults import FaultPlan, Faults
+from backend.emulators.front import Front, PtyFront, TcpFront
+from backend.emulators.gelsight import GelsightFront
+from backend.emulators.joined import LATENCY_S, JoinedScene, JoinedWsg
+from backend.emulators.loads import suffering
+from backend.emulators.melfa import TIMEOUT_CYCLES, MelfaFront
+from backend.emulators.serving import Emulation, bench_toml, camera_tables, melfa_tables
+from backend.simulation.scene import Scene
+
+SERIALS: Mapping[Finger, str] = {"left": "LEFT-0001", "right": "RGHT-0001"}
+BENCH_FILE = "bench.toml"
+POLL_HZ = 200.0
+"""How often the cameras are asked for a new picture; they take them at the rate of the scene."""
+
+
+def serve_bench(
+    scene: Scene, folder: Path, plan: FaultPlan, host: str = "127.0.0.1"
+) -> tuple[JoinedScene, Emulation]:
+    """Make arm, gripper, wrist sensor and both cameras of ``scene``; ports are free ones.
+
+    ``folder`` takes the links of sensor and cameras, and the bench file. Raises ``OSError``.
+    """
+    settings = HardwareSettings.model_validate({"melfa": {"mxt": {"mxttout": TIMEOUT_CYCLES}}})
+    joined = JoinedScene(scene, settings.melfa)
+    folder.mkdir(parents=True, exist_ok=True)
+    arm = MelfaFront(joined.melfa, host, faults=Faults("arm", plan))
+    gripping = Faults("gripper", plan)
+    gripper = TcpFront(JoinedWsg(joined, gripping), host, faults=gripping)
+    sensor = _sensor(joined, folder, Faults("force_torque", plan), host)
+    cameras = [_camera(joined, finger, folder, plan) for finger in FINGERS]
+    tables: dict[str, Mapping[str, object]] = {
+        **melfa_tables(arm),
+        "wsg": {"host": host, "port": gripper.address[1]},
+        "ft": {"driver": "dynpick", "address": sensor.url, "latency_ms": 1e3 * LATENCY_S},
+        **camera_tables(folder, SERIALS),
+    }
+    (folder / BENCH_FILE).write_text(bench_toml(tables), "utf-8")
+    return joined, Emulation((arm, gripper, sensor, *cameras), tables)
+
+
+def _sensor(joined: JoinedScene, folder: Path, faults: Faults, host: str) -> Front:
+    device = EmulatedDynpick(suffering(joined.wrench, faults))
+    if sys.platform == "win32":
+        return TcpFront(device, host, faults=faults)
+    return PtyFront(device, faults=faults, link=folder / "force_torque")
+
+
+def _camera(joined: JoinedScene, finger: Finger, folder: Path, plan: FaultPlan) -> GelsightFront:
+    faults = Faults(f"tactile_{finger}", plan)
+    return GelsightFront(
+        lambda now_s: joined.picture(finger),
+        folder,
+        SERIALS[finger],
+        rate_hz=POLL_HZ,
+        faults=faults,
+    )

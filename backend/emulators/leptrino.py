@@ -1,0 +1,80 @@
+"""An emulated Leptrino: framed commands in, samples out, a function of time and bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from backend.emulators.pace import Pace
+from backend.wire import leptrino
+from backend.wire.leptrino import (
+    CLIP,
+    FULL_SCALE,
+    Command,
+    Filter,
+    Info,
+    Nak,
+    Packet,
+    Plain,
+    Rated,
+    Sample,
+    Status,
+)
+
+RATED = (250.0, 250.0, 250.0, 6.0, 6.0, 6.0)
+INFO = Info("PFS080YA501A6", "00012345", "1.13")
+PERIOD_S = 0.001
+UNDEFINED = 2
+
+
+class EmulatedLeptrino:
+    """``wrench(now_s)`` gives six values, N and N·m, in the axes of the sensor."""
+
+    def __init__(
+        self, wrench: Callable[[float], Sequence[float]], rated: Sequence[float] = RATED
+    ) -> None:
+        self._wrench, self._rated = wrench, tuple(rated)
+        self._commands = leptrino.packets()
+        self._bad = 0
+        self._pace = Pace()
+
+    def receive(self, now_s: float, data: bytes) -> bytes:
+        """Take commands; a frame with a wrong check is answered with NAK."""
+        out = b"".join(
+            leptrino.encode(self._answer(now_s, packet)) for packet in self._commands.feed(data)
+        )
+        if self._commands.bad_frames > self._bad:
+            self._bad = self._commands.bad_frames
+            out = leptrino.encode(Nak()) + out
+        return out
+
+    def due(self, now_s: float) -> bytes:
+        """Return the samples of the stream up to now."""
+        _, times = self._pace.due(now_s)
+        return b"".join(leptrino.encode(self._sample(t_s, Command.START)) for t_s in times)
+
+    def closed(self, now_s: float) -> None:
+        """Nothing: a sensor on a serial line does not notice."""
+
+    def _answer(self, now_s: float, packet: Packet) -> Packet:
+        command = getattr(packet, "command", None)
+        if command == Command.INFO:
+            return INFO
+        if command == Command.RATED:
+            return Rated(self._rated)
+        if command == Command.READ:
+            return self._sample(now_s, Command.READ)
+        if command == Command.GET_FILTER:
+            return Filter(Command.GET_FILTER, 0)
+        if command == Command.START:
+            self._pace.begin(now_s + PERIOD_S, PERIOD_S)
+        elif command == Command.STOP:
+            self._pace.end()
+        elif command != Command.SET_FILTER:
+            return Plain(command or 0, UNDEFINED)
+        return Plain(command)
+
+    def _sample(self, now_s: float, command: Command) -> Sample:
+        pairs = zip(self._wrench(now_s), self._rated, strict=True)
+        raw = [round(value / load * FULL_SCALE) for value, load in pairs]
+        over = Status.OVER_RATING if max(map(abs, raw)) > FULL_SCALE else 0
+        return Sample(command, tuple(min(max(c, -CLIP), CLIP) for c in raw), int(over))

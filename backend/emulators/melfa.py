@@ -1,0 +1,247 @@
+"""An emulated MELFA controller behind real sockets: two ports for commands, one for the stream.
+
+Faults of the wire strike the stream; ``silent`` and ``unplug`` strike the command channel as well.
+``estop`` is pressed as long as the fault lasts; ``alarm`` and ``servo_off`` happen at its start.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import selectors
+import socket
+from collections.abc import Callable
+from functools import partial
+
+from backend.config.hardware import MelfaSettings
+from backend.core.clock import Clock
+from backend.core.flow import FloatArray
+from backend.emulators.faults import Faults
+from backend.emulators.front import CHUNK, UNPLUGGED_S, Front
+from backend.emulators.melfa_commands import EmulatedCommands
+from backend.emulators.melfa_controller import EmulatedController
+from backend.emulators.melfa_stream import EmulatedStream
+
+TICK_S = 0.001
+ALARM = 2601
+"""Error of the fault ``alarm``: a position over its limit."""
+ESTOP = 50
+TIMEOUT_CYCLES = 57
+"""MXTTOUT of a rehearsal: a silent stream ends after 0.2 s, as it should on a real controller."""
+
+
+class EmulatedMelfa:
+    """One controller with its stream; ``session`` gives a command channel for each client."""
+
+    def __init__(
+        self,
+        settings: MelfaSettings,
+        *,
+        start_rad: FloatArray | None = None,
+        streaming: bool = False,
+    ) -> None:
+        """``streaming``: servo on and the program running from the start, for a client without R3.
+
+        ``start_rad``: (6,) joints to begin with; else the hand points down somewhere in reach.
+        """
+        self.controller = EmulatedController(settings, start_rad=start_rad, streaming=streaming)
+        self.stream = EmulatedStream(self.controller)
+
+    def session(self) -> EmulatedCommands:
+        """Return the channel of a new client."""
+        return EmulatedCommands(self.controller)
+
+
+class MelfaFront(Front):
+    """Serves ``device`` on ``host``; ports 0 take free ones. ``settings`` has them afterwards."""
+
+    def __init__(
+        self,
+        device: EmulatedMelfa,
+        host: str = "127.0.0.1",
+        ports: tuple[int, int, int] = (0, 0, 0),
+        clock: Clock | None = None,
+        faults: Faults | None = None,
+    ) -> None:
+        """``ports``: commands, STOP, stream."""
+        super().__init__(clock, faults or Faults("arm"))
+        self._device = device
+        self._sources: list[socket.socket] = []
+        self._host, self._ports = host, ports
+        self._listen()
+        self.stops: list[float] = []
+        """When STOP came, on the clock of the front."""
+        self._on: set[str] = set()
+
+    @property
+    def url(self) -> str:
+        """Address of the command channel."""
+        return f"tcp://{self._host}:{self._ports[0]}"
+
+    @property
+    def settings(self) -> MelfaSettings:
+        """Settings with which a driver reaches it."""
+        commands, stop, stream = self._ports
+        given = self._device.controller.settings
+        r3 = given.r3.model_copy(update={"port": commands, "stop_port": stop})
+        mxt = given.mxt.model_copy(update={"port": stream})
+        return given.model_copy(update={"host": self._host, "r3": r3, "mxt": mxt})
+
+    def close(self) -> None:
+        """Stop serving and free the ports."""
+        super().close()
+        self._leave()
+
+    def _listen(self) -> None:
+        stream = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sources = [stream]
+        try:
+            stream.bind((self._host, self._ports[2]))
+            for port in self._ports[:2]:
+                self._sources.append(socket.create_server((self._host, port), backlog=4))
+        except OSError:
+            self._leave()
+            raise
+        for source in self._sources:
+            source.setblocking(False)
+        stream, *doors = self._sources
+        first, second = (door.getsockname()[1] for door in doors)
+        self._ports = (first, second, stream.getsockname()[1])
+
+    def _leave(self) -> None:
+        for source in self._sources:
+            source.close()
+        self._sources = []
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            if not self._sources:
+                self._listen()
+            self._serve_all()
+            if self._is_unplugged():
+                self._leave()
+            while self._is_unplugged() and not self._stop.wait(UNPLUGGED_S):
+                pass
+
+    def _serve_all(self) -> None:
+        stream, *doors = self._sources
+        sessions: dict[socket.socket, EmulatedCommands] = {}
+        caller: tuple[str, int] | None = None
+        with selectors.DefaultSelector() as selector:
+            for source in self._sources:
+                selector.register(source, selectors.EVENT_READ)
+            while not self._stop.is_set() and not self._is_unplugged():
+                answers: list[bytes] = []
+                for key, _ in selector.select(TICK_S):
+                    ready = key.fileobj
+                    assert isinstance(ready, socket.socket)
+                    if ready is stream:
+                        caller = self._take(stream, answers) or caller
+                    elif ready in doors:
+                        self._admit(ready, selector, sessions)
+                    else:
+                        self._answer(ready, sessions[ready])
+                now_s = self._clock.now_s()
+                self._trouble(now_s)
+                for out in self.faults.outgoing(now_s, answers):
+                    self._send(stream, out, caller)
+                self._tend(now_s, selector, sessions)
+        for client, session in sessions.items():
+            session.closed(self._clock.now_s())
+            client.close()
+
+    # -- stream -----------------------------------------------------------------------------------
+
+    def _take(self, stream: socket.socket, answers: list[bytes]) -> tuple[str, int] | None:
+        try:
+            data, caller = stream.recvfrom(CHUNK)
+        except (BlockingIOError, ConnectionError):
+            return None
+        answer = self._device.stream.receive(self._took(data), data)
+        if answer is not None:
+            answers.append(answer)
+        return caller[0], caller[1]
+
+    def _send(self, stream: socket.socket, out: bytes, caller: tuple[str, int] | None) -> None:
+        out = self.damage(out)
+        if caller is None or not out:
+            return
+        with contextlib.suppress(ConnectionError, BlockingIOError):
+            stream.sendto(out, caller)
+            self._gave(out)
+
+    # -- commands ---------------------------------------------------------------------------------
+
+    def _admit(
+        self,
+        door: socket.socket,
+        selector: selectors.BaseSelector,
+        sessions: dict[socket.socket, EmulatedCommands],
+    ) -> None:
+        try:
+            client, _ = door.accept()
+        except BlockingIOError:
+            return
+        client.settimeout(1.0)
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        selector.register(client, selectors.EVENT_READ)
+        sessions[client] = self._device.session()
+        self.clients += 1
+
+    def _answer(self, client: socket.socket, session: EmulatedCommands) -> None:
+        try:
+            data = client.recv(CHUNK)
+        except (ConnectionError, TimeoutError):
+            data = b""
+        if not data:
+            session.gone = True
+            return
+        now_s = self._took(data)
+        if b"STOP" in data:
+            self.stops.append(now_s)
+        self._reply(client, session, session.receive(now_s, data))
+
+    def _tend(
+        self,
+        now_s: float,
+        selector: selectors.BaseSelector,
+        sessions: dict[socket.socket, EmulatedCommands],
+    ) -> None:
+        """Send what is due without a question; forget who has gone."""
+        self._device.controller.advance(now_s)
+        for client, session in list(sessions.items()):
+            self._reply(client, session, session.due(now_s))
+            if session.gone:
+                session.closed(now_s)
+                selector.unregister(client)
+                client.close()
+                del sessions[client]
+
+    def _reply(self, client: socket.socket, session: EmulatedCommands, out: bytes) -> None:
+        if not out or self.faults.active("silent", self._clock.now_s()):
+            return
+        try:
+            client.sendall(out)
+        except (ConnectionError, TimeoutError):
+            session.gone = True
+        else:
+            self._gave(out)
+
+    # -- trouble ----------------------------------------------------------------------------------
+
+    def _trouble(self, now_s: float) -> None:
+        """Let the faults of the controller itself begin and end."""
+        controller = self._device.controller
+        begins: dict[str, Callable[[], None]] = {
+            "alarm": partial(controller.raise_error, ALARM),
+            "estop": partial(controller.press_emergency_stop, ESTOP),
+            "servo_off": partial(controller.switch_servo, False),
+        }
+        for kind, begin in begins.items():
+            active = self.faults.active(kind, now_s)
+            if active and kind not in self._on:
+                self._on.add(kind)
+                begin()
+            elif not active and kind in self._on:
+                self._on.remove(kind)
+                if kind == "estop":
+                    controller.release_emergency_stop()

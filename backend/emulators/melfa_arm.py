@@ -1,0 +1,121 @@
+"""The emulated arm: six joints that follow their commands, and where the flange is for them.
+
+Places are computed from the chain of joint frames and solved numerically, independently of the
+driver's closed form.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from backend.core.flow import FloatArray
+from backend.wire.melfa_joints import FLANGE_MM, JOINTS
+
+NOISE_RAD = 1e-7
+"""Standard deviation of the encoder feedback."""
+LIMITS_RAD = np.array([joint.limit_rad for joint in JOINTS])
+SPEEDS_RAD_S = np.array([joint.speed_rad_s for joint in JOINTS])
+_SOLVE_STEPS = 60
+
+
+def frame_of(joints_rad: FloatArray) -> FloatArray:
+    """Return the (4, 4) frame of the flange in the base."""
+    frame = np.eye(4)
+    for joint, angle in zip(JOINTS, joints_rad.tolist(), strict=True):
+        c, s = math.cos(angle), math.sin(angle)
+        link = np.eye(4)
+        link[2, 3] = joint.rise_mm
+        i, j = (0, 1) if joint.axis == "z" else (2, 0)
+        link[i, i] = link[j, j] = c
+        link[i, j], link[j, i] = -s, s
+        frame = frame @ link
+    frame[:3, 3] += FLANGE_MM * frame[:3, 2]
+    return np.asarray(frame)
+
+
+def solve(frame: FloatArray, near_rad: FloatArray) -> FloatArray | None:
+    """Return joints (6,) that reach ``frame`` from ``near_rad``, None if none was found."""
+    joints = near_rad.copy()
+    for _ in range(_SOLVE_STEPS):
+        error = _apart(frame_of(joints), frame)
+        if np.linalg.norm(error[:3]) < 1e-6 and np.linalg.norm(error[3:]) < 1e-9:
+            return joints if (np.abs(joints) <= LIMITS_RAD).all() else None
+        joints = joints + np.clip(np.linalg.lstsq(_slopes(joints), error, rcond=1e-8)[0], -0.3, 0.3)
+    return None
+
+
+def _slopes(joints_rad: FloatArray, step_rad: float = 1e-6) -> FloatArray:
+    here = frame_of(joints_rad)
+    columns = [
+        _apart(here, frame_of(joints_rad + step_rad * np.eye(6)[k])) / step_rad for k in range(6)
+    ]
+    return np.stack(columns, axis=1)
+
+
+def _apart(here: FloatArray, there: FloatArray) -> FloatArray:
+    """Return (6,) the way in mm and the turn in rad from one frame to another."""
+    turn = there[:3, :3] @ here[:3, :3].T
+    axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    size = float(np.linalg.norm(axis))
+    angle = math.atan2(size, float(np.trace(turn)) - 1.0)
+    turned = axis * (angle / size) if size > 1e-12 else np.zeros(3)
+    return np.concatenate([there[:3, 3] - here[:3, 3], turned])
+
+
+def angles_of(hand: FloatArray, euler: str) -> tuple[float, float, float]:
+    """Return A, B, C (rad) of a rotation (3, 3); ``euler`` as in the settings."""
+    if euler.startswith("Rz"):
+        b = math.asin(min(max(-float(hand[2, 0]), -1.0), 1.0))
+        return math.atan2(hand[2, 1], hand[2, 2]), b, math.atan2(hand[1, 0], hand[0, 0])
+    b = math.asin(min(max(float(hand[0, 2]), -1.0), 1.0))
+    return math.atan2(-hand[1, 2], hand[2, 2]), b, math.atan2(-hand[0, 1], hand[0, 0])
+
+
+def hand_of(a: float, b: float, c: float, euler: str) -> FloatArray:
+    """Return the rotation (3, 3) of A, B, C."""
+    ca, sa, cb, sb = math.cos(a), math.sin(a), math.cos(b), math.sin(b)
+    cc, sc = math.cos(c), math.sin(c)
+    about_x = np.array([[1, 0, 0], [0, ca, -sa], [0, sa, ca]])
+    about_y = np.array([[cb, 0, sb], [0, 1, 0], [-sb, 0, cb]])
+    about_z = np.array([[cc, -sc, 0], [sc, cc, 0], [0, 0, 1]])
+    if euler.startswith("Rz"):
+        return np.asarray(about_z @ about_y @ about_x)
+    return np.asarray(about_x @ about_y @ about_z)
+
+
+class Joints:
+    """Command, filtered command and encoder feedback of six joints, in cycles."""
+
+    def __init__(self, start_rad: FloatArray, cycle_s: float, lag_s: float, seed: int = 1) -> None:
+        self._cycle_s, self._lag_s = cycle_s, lag_s
+        self._rng = np.random.default_rng(seed)
+        self.command_rad = start_rad.copy()
+        self.filtered_rad = start_rad.copy()
+        self.true_rad = start_rad.copy()
+        self.feedback_rad = start_rad.copy()
+        self.filter_s = 0.010
+        self.frozen = False
+        """Fault: the encoders tell the same for ever."""
+
+    def cycle(self) -> None:
+        """Advance by one control cycle."""
+        t = self._cycle_s
+        # New arrays, so that whoever reads from another thread has one of one instant.
+        command = self.command_rad
+        filtered, true = self.filtered_rad, self.true_rad
+        self.filtered_rad = filtered + (command - filtered) * _share(t, self.filter_s)
+        self.true_rad = true + (command - true) * _share(t, self._lag_s)
+        if not self.frozen:
+            noise = self._rng.normal(0.0, NOISE_RAD, 6)
+            self.feedback_rad = self.true_rad + noise
+
+    def currents(self) -> FloatArray:
+        """Return (6,) in %: as the joint is behind, by what it is behind at its top speed."""
+        behind = self.command_rad - self.true_rad
+        return np.asarray(100.0 * behind / (SPEEDS_RAD_S * max(self._lag_s, self._cycle_s)))
+
+
+def _share(cycle_s: float, lag_s: float) -> float:
+    return 1.0 - math.exp(-cycle_s / lag_s) if lag_s > 0.0 else 1.0

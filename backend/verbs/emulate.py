@@ -1,0 +1,182 @@
+"""``touchdown emulate``: a device that speaks the real protocol over a real wire."""
+
+from __future__ import annotations
+
+import argparse
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from rich.table import Table
+from rich.text import Text
+
+from backend.core.faults import InputError
+from backend.core.flow import FINGERS
+from backend.emulators.faults import FaultPlan, load_faults
+from backend.emulators.front import Front
+from backend.emulators.gelsight import SERIAL
+from backend.emulators.joined import JoinedScene
+from backend.emulators.joined_serving import serve_bench
+from backend.emulators.loads import hanging, noisy
+from backend.emulators.serving import SUFFERS, Choice, Emulation, Wrench, bench_toml, emulate
+from backend.objects.catalogue import load_catalogue
+from backend.runs.requests import SceneChoice
+from backend.verbs.ctrl_c import ctrl_c_cancels
+from backend.verbs.emulate_live import USAGE, TypedFaults
+from backend.verbs.screen import Screen
+
+NAME = "emulate"
+HELP = "emulate a device over its real wire"
+STATUS_S = 0.5
+BENCH = "bench"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("kind", choices=[*SUFFERS, BENCH], help="which device, or all of a bench")
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
+    parser.add_argument("--port", type=_port, help="port (default: a free one)")
+    parser.add_argument(
+        "--tty", type=Path, metavar="LINK", help="name for the serial port of a wrist sensor"
+    )
+    parser.add_argument(
+        "--faults", type=Path, metavar="FILE", help="fault plan in TOML: what goes wrong, and when"
+    )
+    parser.add_argument(
+        "--load",
+        type=_wrench,
+        metavar="Fx,Fy,Fz,Tx,Ty,Tz",
+        help="what a wrist sensor feels, N and N·m (default: a swaying gripper)",
+    )
+    parser.add_argument(
+        "--part", type=float, default=20.0, metavar="MM", help="piece between the jaws; 0: none"
+    )
+    parser.add_argument(
+        "--folder", type=Path, metavar="DIR", help="where an emulated camera is found"
+    )
+    parser.add_argument("--finger", choices=FINGERS, default="left", help="which camera")
+    parser.add_argument("--serial", default=SERIAL, help="number of the camera")
+    parser.add_argument(
+        "--film", type=Path, metavar="FILE", help="video or picture that the camera sees"
+    )
+    parser.add_argument("--piece", default="pot", help="of a bench: the grasped piece")
+    parser.add_argument("--bottom", default="short", help="of a bench: what it is put on")
+    parser.add_argument("--preset", default="mixed", help="of a bench: nuisances")
+    parser.add_argument("--seed", type=int, default=1, help="of a bench")
+    parser.add_argument(
+        "--for", type=float, dest="for_s", metavar="S", help="end after this time (default: Ctrl-C)"
+    )
+
+
+def run(args: argparse.Namespace, screen: Screen) -> int:
+    """Serve until Ctrl-C or the end of the time; then say what went over the wire."""
+    if args.for_s is not None and not 0 < args.for_s < float("inf"):
+        raise InputError("The time is not above zero.", "--for", "Give seconds.")
+    world, emulation = _bench(args) if args.kind == BENCH else (None, _device(args))
+    end = threading.Event()
+    begun_s = time.monotonic()
+    emulation.start()
+    if world is not None:
+        world.start()
+    try:
+        screen.say(f"The emulated {args.kind} answers at {emulation.fronts[0].url}.")
+        screen.say(f"In a bench file:\n\n{bench_toml(emulation.bench)}\n{USAGE} Ctrl-C ends it.")
+        with ctrl_c_cancels(end.set):
+            _watch(emulation, end, args.for_s, screen)
+    finally:
+        if world is not None:
+            world.close()
+        emulation.close()
+    front = emulation.fronts[0]
+    screen.result(
+        {
+            "version": 1,
+            "kind": args.kind,
+            "address": front.url,
+            "bench": emulation.bench,
+            "seconds": round(time.monotonic() - begun_s, 3),
+            "clients": front.clients,
+            "received_bytes": front.received,
+            "sent_bytes": front.sent,
+        }
+    )
+    return 0
+
+
+def _device(args: argparse.Namespace) -> Emulation:
+    wrench: Wrench = noisy(args.load or hanging)
+    part_mm = args.part if args.part > 0 else None
+    wire = Choice(args.kind, args.host, args.port, args.tty, _plan(args), wrench, part_mm)
+    camera = {"finger": args.finger, "serial": args.serial, "folder": args.folder}
+    return emulate(replace(wire, **camera, film=args.film))
+
+
+def _bench(args: argparse.Namespace) -> tuple[JoinedScene, Emulation]:
+    """Make a whole bench and write its bench file."""
+    if args.folder is None:
+        raise InputError("An emulated bench needs a folder.", "--folder", "Name a folder.")
+    # Imported here: the other devices start without what a scene needs.
+    from backend.assembly import SimulatedBenchChoice, make_scene
+
+    settings = SimulatedBenchChoice(preset=args.preset).settings()
+    choice = SceneChoice(args.piece, (args.bottom,), args.seed)
+    scene = make_scene(load_catalogue(), choice, settings)
+    try:
+        world, emulation = serve_bench(scene, args.folder, _plan(args), args.host)
+    except OSError as error:
+        raise InputError(
+            f"The bench cannot be made: {error.strerror or error}.",
+            str(args.folder),
+            "Name another folder or --host.",
+        ) from error
+    return world, emulation
+
+
+def _plan(args: argparse.Namespace) -> FaultPlan:
+    return load_faults(args.faults) if args.faults else FaultPlan()
+
+
+def _watch(emulation: Emulation, end: threading.Event, for_s: float | None, screen: Screen) -> None:
+    """Show what goes over the wires until the end."""
+    end_s = float("inf") if for_s is None else time.monotonic() + for_s
+    typed = TypedFaults(emulation.fronts)
+    with screen.status() as show:
+        while not end.is_set() and (left_s := end_s - time.monotonic()) > 0:
+            show(_table(emulation.fronts))
+            if not typed.listens:
+                end.wait(min(left_s, STATUS_S))
+            elif said := typed.take(min(left_s, STATUS_S)):
+                screen.say(said)
+
+
+def _table(fronts: Sequence[Front]) -> Table:
+    """Return what went over each wire so far, and which faults are on."""
+    table = Table()
+    table.add_column("wire")
+    for column in ("clients", "bytes in", "bytes out"):
+        table.add_column(column, justify="right")
+    table.add_column("faults on")
+    for front in fronts:
+        name = front.faults.device or front.url.partition("://")[2]
+        faults = ", ".join(front.faults.names(time.monotonic()))
+        counts = (f"{count:,}" for count in (front.clients, front.received, front.sent))
+        table.add_row(name, *counts, Text(faults or "none", "bold red" if faults else ""))
+    return table
+
+
+def _port(text: str) -> int:
+    if not text.isdigit() or not 1 <= int(text) <= 65535:
+        raise argparse.ArgumentTypeError(f"'{text}' is no port (1 to 65535)")
+    return int(text)
+
+
+def _wrench(text: str) -> Wrench:
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != 6 or not all(abs(value) < float("inf") for value in values):
+        raise argparse.ArgumentTypeError(f"'{text}' is not six finite numbers")
+    return lambda now_s: values

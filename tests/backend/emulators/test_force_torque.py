@@ -1,0 +1,126 @@
+"""Emulated wrist sensors alone: what they answer to published bytes are the published bytes."""
+
+from itertools import pairwise
+
+import pytest
+
+from backend.emulators.bota import EmulatedBota
+from backend.emulators.faults import Faults
+from backend.emulators.ft300 import EmulatedFt300
+from backend.emulators.leptrino import EmulatedLeptrino
+from backend.emulators.loads import suffering
+from backend.emulators.netft import EmulatedCalibration, EmulatedNetFt, EmulatedPage
+from backend.emulators.optoforce import EmulatedOptoforce
+from backend.wire import bota, leptrino, net_ft, optoforce, robotiq_ft300
+from backend.wire.bota import Frame
+from backend.wire.leptrino import Sample, Status
+from tests.backend.wire.vectors import data
+
+LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
+
+
+def still(now_s):
+    return LOAD
+
+
+def test_an_ft300_answers_modbus_until_it_streams():
+    sensor = EmulatedFt300(still)
+    assert sensor.receive(0.0, data("ft300-read-wrench")) == data("ft300-read-wrench-reply")
+    assert sensor.receive(1.0, data("ft300-start-fc16")) == data("ft300-start-fc16-reply")
+    assert sensor.due(1.0) == data("ft300-stream")
+    assert len(robotiq_ft300.incoming().feed(sensor.due(1.5))) == 50
+    assert sensor.receive(1.5, data("ft300-read-wrench")) == b""
+    sensor.receive(1.6, b"\xff" * 50)
+    assert sensor.due(2.0) == b""
+    assert sensor.receive(2.0, data("ft300-read-wrench")) == data("ft300-read-wrench-reply")
+
+
+def test_a_leptrino_tells_its_rated_loads_and_refuses_a_damaged_frame():
+    sensor = EmulatedLeptrino(still)
+    assert sensor.receive(0.0, data("leptrino-limits")) == data("leptrino-limits-reply")
+    assert sensor.receive(0.0, data("leptrino-bad-bcc")) == data("leptrino-nak")
+    (sample,) = leptrino.packets().feed(sensor.receive(0.0, data("leptrino-read")))
+    assert sample.wrench((250.0,) * 3 + (6.0,) * 3).force_n == pytest.approx(LOAD[:3], abs=0.013)
+    sensor.receive(1.0, data("leptrino-start"))
+    assert len(leptrino.packets().feed(sensor.due(1.1))) == 100
+    sensor.receive(1.1, data("leptrino-stop"))
+    assert sensor.due(2.0) == b""
+
+
+def test_a_leptrino_over_its_range_says_so_and_clips():
+    sensor = EmulatedLeptrino(lambda now_s: (2000.0, *LOAD[1:]))
+    (sample,) = leptrino.packets().feed(sensor.receive(0.0, data("leptrino-read")))
+    assert isinstance(sample, Sample)
+    assert sample.status == Status.OVER_RATING
+    assert sample.counts[0] == leptrino.CLIP
+
+
+def test_a_bota_boots_streams_and_keeps_its_own_time():
+    sensor = EmulatedBota(still)
+    begun = sensor.due(0.123456)
+    assert begun == b"App Init" + data("bota-frame")
+    frames = bota.incoming().feed(sensor.due(0.2))
+    gaps = [b.timestamp_us - a.timestamp_us for a, b in pairwise(frames)]
+    assert set(gaps) == {10_000}
+    assert sensor.receive(0.2, b"C") == b"r,0,C,0"
+    assert sensor.due(0.5) == b""
+    assert sensor.receive(0.5, b"f,51,0,0,1") == b"r,0,f,0"
+    assert sensor.receive(0.5, b"R") == b"r,0,R,0"
+    frames = bota.incoming().feed(sensor.due(0.6))
+    assert len(frames) == pytest.approx(100, abs=2)
+    assert all(isinstance(frame, Frame) for frame in frames)
+
+
+def test_an_optoforce_is_silent_until_it_is_configured_and_counts():
+    sensor = EmulatedOptoforce(
+        lambda now_s: (100.0, -200.0, -1050.0, 10.0, -20.0, 5.0),
+        counts=(2000.0,) * 6,
+        capacity=(2000.0,) * 6,
+    )
+    assert sensor.due(0.0) == b""
+    assert sensor.receive(0.0, data("optoforce-config-100hz-15hz")) == data("optoforce-config-ack")
+    sensor.due(0.0)
+    assert sensor.due(0.01) == data("optoforce-frame22")
+    assert sensor.receive(0.02, data("optoforce-config-stop")) == data("optoforce-config-ack")
+    assert sensor.due(9.0) == b""
+    refused = optoforce.incoming().feed(
+        sensor.receive(9.0, optoforce.encode(optoforce.Config(2, 0)))
+    )
+    assert refused[0].status != 0
+
+
+def test_a_net_ft_sends_what_was_asked_for():
+    sensor = EmulatedNetFt(still)
+    assert sensor.receive(0.002, data("rdt-single")) == []
+    assert sensor.due(0.002) == [data("rdt-record")]
+    assert sensor.due(1.0) == []
+    sensor.receive(1.0, data("rdt-start"))
+    numbers = [net_ft.decode_records(record)[0].rdt_sequence for record in sensor.due(1.1)]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert len(numbers) == pytest.approx(100, abs=1)
+    sensor.receive(1.1, data("rdt-bias"))
+    assert set(net_ft.decode_records(sensor.due(1.2)[0])[0].counts) == {0}
+    sensor.receive(1.2, data("rdt-stop"))
+    assert sensor.due(2.0) == []
+
+
+def test_its_scale_is_told_by_page_and_channel():
+    page = EmulatedPage().receive(0.0, b"GET /netftapi2.xml HTTP/1.1\r\n\r\n")
+    assert net_ft.decode_page(page) == (1e6, 1e6)
+    assert EmulatedPage().receive(0.0, b"GET / HTTP/1.1\r\n\r\n").startswith(b"HTTP/1.1 404")
+    channel = EmulatedCalibration()
+    assert channel.receive(0.0, net_ft.TCP_REQUEST[:5]) == b""
+    told = net_ft.decode_calibration(channel.receive(0.0, net_ft.TCP_REQUEST[5:]))
+    assert (told.counts_per_n, told.counts_per_nm) == (1_000_000, 1_000_000)
+
+
+def test_a_frozen_load_stands_and_a_saturated_one_is_beyond_all_ranges():
+    faults = Faults("force_torque")
+    faults.begin(0.0)
+    felt = suffering(lambda now_s: (now_s,) * 6, faults)
+    assert felt(1.0) == (1.0,) * 6
+    faults.inject(2.0, "freeze", 1.0)
+    assert felt(2.5) == (1.0,) * 6
+    assert felt(3.5) == (3.5,) * 6
+    faults.inject(4.0, "saturate")
+    assert min(felt(5.0)) > 1e4

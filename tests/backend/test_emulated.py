@@ -1,0 +1,74 @@
+"""The emulated bench as its own process serves it, and the truth it tells. No trial runs here:
+real time on a busy machine proves nothing (see tests/bench/wired.py for the measured figures)."""
+
+import io
+import json
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from backend.assembly import SimulatedBenchChoice, make_scene
+from backend.config.hardware import HardwareSettings
+from backend.config.load import load
+from backend.core.faults import FaultError
+from backend.emulated import BenchClock
+from backend.emulated_child import EmulatedProcess, serve
+from backend.emulators.faults import FaultPlan
+from backend.emulators.front import TcpFront
+from backend.emulators.joined import JoinedScene
+from backend.emulators.joined_serving import BENCH_FILE
+from backend.emulators.truth import EmulatedTruth, RemoteTruth
+from backend.objects.catalogue import load_catalogue
+from backend.runs.requests import SceneChoice
+
+SETTINGS = SimulatedBenchChoice(preset="quiet").settings()
+CHOICE = SceneChoice("pot", ("short",), 3)
+
+
+def order(folder):
+    choice = {"piece": "pot", "bottoms": ["short"], "seed": 3}
+    settings, plan = SETTINGS.model_dump(mode="json"), FaultPlan().model_dump(mode="json")
+    content = {"choice": choice, "settings": settings, "plan": plan}
+    return json.dumps({**content, "folder": str(folder), "pieces": None}) + "\n"
+
+
+def test_each_line_is_a_scene_with_a_bench_file_that_loads():
+    with tempfile.TemporaryDirectory() as first, tempfile.TemporaryDirectory() as second:
+        answers = io.StringIO()
+        serve([order(first), order(second)], answers)
+        hosts = [json.loads(line)[0] for line in answers.getvalue().splitlines()]
+        assert hosts == ["127.0.0.1"] * 2
+        hardware = load(HardwareSettings, Path(second) / BENCH_FILE)
+        assert hardware.ft.driver == "dynpick"
+        assert hardware.gelsight.left.serial != hardware.gelsight.right.serial
+        assert hardware.melfa.mxt.mxttout == 57
+
+
+def test_the_truth_is_that_of_the_scene():
+    scene = make_scene(load_catalogue(), CHOICE, SETTINGS)
+    joined = JoinedScene(scene, HardwareSettings().melfa)
+    front = TcpFront(EmulatedTruth(joined))
+    front.start()
+    truth = RemoteTruth(scene, front.address)
+    assert truth.scene is scene
+    assert truth.truth() == joined.truth()
+    front.close()
+    with pytest.raises(OSError, match=r"refused|closed|gone"):
+        truth.truth()
+
+
+def test_a_bench_whose_process_is_dead_is_a_fault(monkeypatch):
+    monkeypatch.setattr("backend.emulated_child.sys.executable", "/bin/true")
+    process = EmulatedProcess()
+    with pytest.raises(FaultError, match="has ended"):
+        process.set_scene(CHOICE, SETTINGS, FaultPlan(), Path("nowhere"))
+    process.close()
+
+
+def test_the_clock_waits_and_makes_up_for_nothing():
+    clock = BenchClock()
+    begun_s = clock.now_s()
+    for _ in range(3):
+        clock.wait(10_000)
+    assert clock.now_s() - begun_s >= 0.03

@@ -1,0 +1,88 @@
+"""``touchdown emulate``: a device for others to speak to, and what it says of itself."""
+
+import json
+import socket
+import threading
+
+import pytest
+
+from backend.__main__ import main
+from backend.config.hardware import HardwareSettings
+from backend.config.load import load
+from backend.emulators.serving import SUFFERS
+from backend.wire import wsg_binary
+from backend.wire.wsg_binary import Request
+from backend.wire.wsg_words import Command
+from tests.backend.devices.waiting import until
+
+
+def free_port():
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        return listener.getsockname()[1]
+
+
+@pytest.mark.parametrize("kind", sorted(SUFFERS))
+def test_every_kind_serves_and_tells_its_bench_file(kind, capsys, tmp_path):
+    folder = ["--folder", str(tmp_path)] if kind == "gelsight" else []
+    assert main(["emulate", kind, *folder, "--for", "0.02", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["kind"] == kind
+    assert told["address"]
+    assert told["bench"]
+
+
+def test_a_client_of_its_own_reads_the_gripper(capsys):
+    port = free_port()
+    words = ["emulate", "wsg", "--port", str(port), "--for", "0.5", "--part", "0", "--json"]
+    serving = threading.Thread(target=main, args=(words,))
+    serving.start()
+    replies = []
+
+    def answered():
+        try:
+            with socket.create_connection(("127.0.0.1", port), timeout=1.0) as client:
+                client.sendall(wsg_binary.encode_request(Request(Command.WIDTH, (0, 0))))
+                replies.extend(wsg_binary.replies().feed(client.recv(100)))
+        except ConnectionRefusedError:
+            return False
+        return True
+
+    until(answered)
+    serving.join()
+    assert replies[0].values == (66.0,)
+    told = json.loads(capsys.readouterr().out)
+    assert (told["clients"], told["bench"]["wsg"]["port"]) == (1, port)
+    assert told["received_bytes"] == 11
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["wsg", "--tty", "x"],
+        ["dynpick", "--tty", "x", "--port", "5000"],
+        ["dynpick", "--load", "1,2"],
+        ["dynpick", "--port", "0"],
+        ["dynpick", "--for", "nan"],
+        ["gelsight"],
+        ["toaster"],
+    ],
+)
+def test_bad_words_are_bad_input(words, capsys):
+    assert main(["emulate", *words]) == 2
+    assert "fix:" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words", [["stack", "--emulated", "--inject", "arm:stall@1"], ["emulate", "bench"]]
+)
+def test_what_the_emulated_bench_lacks_is_said_before_it_starts(words, capsys):
+    assert main(words) == 2
+    assert "fix:" in capsys.readouterr().err
+
+
+def test_a_bench_leaves_its_file_in_the_folder(tmp_path, capsys):
+    assert main(["emulate", "bench", "--folder", str(tmp_path), "--for", "0.02", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["bench"]
+    hardware = load(HardwareSettings, tmp_path / "bench.toml")
+    assert hardware.ft.address == told["ft"]["address"]
+    assert hardware.wsg.port == told["wsg"]["port"]

@@ -1,0 +1,107 @@
+"""The emulated bench beside the simulated one, on the same seeds: outcomes, wrench, markers.
+
+Real time over real sockets, terminals and pipes: on a busy machine run it at real-time priority
+(``chrt -r 1``), else presses are voided. A trial that a link fault ended is tried again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from backend.assembly import SimulatedBenchChoice, simulated_session
+from backend.core.facts import EpisodeRecorded, Fact, FaultRaised, TrialFinished
+from backend.core.flow import TACTILE_CHANNELS, Episode, FloatArray
+from backend.emulated import EmulatedBench
+from backend.runs.requests import StackRequest
+from backend.session import Keep, Session
+from tests.bench.registry import Figure, figure
+
+FIRST_SEED, TRIALS = 300, 20
+BOTTOMS = ("short", "long")
+HELD = slice(15, 20)
+TRIES = 3
+
+
+@dataclass
+class Run:
+    """What one trial gave: its end, its first episode, its faults."""
+
+    ends: list[TrialFinished] = field(default_factory=list)
+    episodes: list[Episode] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
+
+    def hear(self, fact: Fact) -> None:
+        if isinstance(fact, TrialFinished):
+            self.ends.append(fact)
+        elif isinstance(fact, EpisodeRecorded):
+            self.episodes.append(fact.episode)
+        elif isinstance(fact, FaultRaised):
+            self.faults.append(fact.fault.code)
+
+
+def stack(session: Session, seed: int) -> Run:
+    run = Run()
+    leave = session.hub.subscribe(run.hear)
+    session.run(StackRequest("pot", (BOTTOMS[seed % 2],), seed))
+    leave()
+    return run
+
+
+def held(episode: Episode) -> tuple[FloatArray, FloatArray]:
+    """Return mean wrench (6,) and marker displacements (252,) px of the ticks of the hold."""
+    ticks = episode.observation[HELD].astype(np.float64).mean(axis=0)
+    return ticks[TACTILE_CHANNELS:], ticks[:TACTILE_CHANNELS]
+
+
+def compare(trials: int = TRIALS) -> list[Figure]:
+    alike, voided, wrench_off, marker_off = 0, 0, [], []
+    simulated = simulated_session(SimulatedBenchChoice(), keep=Keep(None))
+    with EmulatedBench(SimulatedBenchChoice(), keep=Keep(None)) as bench:
+        for seed in range(FIRST_SEED, FIRST_SEED + trials):
+            wanted = stack(simulated, seed)
+            for _ in range(TRIES):
+                found = stack(bench.session, seed)
+                if not found.faults:
+                    break
+                voided += 1
+                bench.session.reset()
+            alike += wanted.ends[-1].outcome is found.ends[-1].outcome
+            if found.episodes and wanted.episodes:
+                (wrench, px), (other, other_px) = held(wanted.episodes[0]), held(found.episodes[0])
+                off = np.linalg.norm(other[:3] - wrench[:3]) / np.linalg.norm(wrench[:3])
+                wrench_off.append(100.0 * float(off))
+                marker_off.append(float(np.sqrt(np.mean((other_px - px) ** 2))))
+    simulated.close()
+    note = f"{voided} tries ended by a link fault and repeated"
+    wrench_pc, marker_px = float(np.median(wrench_off)), float(np.median(marker_off))
+    within = sum(off <= 2.0 for off in wrench_off)
+    spread = f"median; {within} of {len(wrench_off)} within 2 %, largest {max(wrench_off):.1f} %"
+    least = round(0.9 * trials)
+    return [
+        Figure(
+            "emulated: outcomes as simulated",
+            alike,
+            f"of {trials}",
+            f">= {least}",
+            alike >= least,
+            note,
+        ),
+        Figure(
+            "emulated: force of the first probe", wrench_pc, "% off", "<= 2", wrench_pc <= 2, spread
+        ),
+        Figure(
+            "emulated: markers of the first probe",
+            marker_px,
+            "px rms off",
+            "<= 0.2",
+            marker_px <= 0.2,
+            f"median; largest {max(marker_off):.2f} px",
+        ),
+    ]
+
+
+@figure("wired")
+def emulated_beside_simulated() -> list[Figure]:
+    return compare()

@@ -20,7 +20,7 @@ from backend.catalogue.findings import QUARANTINE
 from backend.catalogue.operations import newest_of
 from backend.catalogue.schema import APPLICATION_ID
 from backend.core.faults import Fault, FaultError, InputError
-from backend.core.files import sync_folder
+from backend.core.files import make_folder, sync_folder
 
 STAMP = "%Y%m%dT%H%M%S%fZ"
 EVERY = timedelta(hours=1)
@@ -97,6 +97,10 @@ class Backups:
         """Time since the newest copy; None if there is none."""
         return None if self._last is None else self._now() - self._last
 
+    def newest(self) -> Path | None:
+        """Return the newest copy, None if there is none."""
+        return next((backup.path for backup in list_backups(self._folder)), None)
+
     def make(self, reason: str) -> Path:
         """Copy, verify, name and prune; raises ``FaultError`` if the copy is not good.
 
@@ -106,7 +110,7 @@ class Backups:
         path = self._folder / f"catalog-{made.strftime(STAMP)}.db"
         part = self._folder / f".{path.name}.tmp"
         with _explained(self._folder):
-            self._folder.mkdir(parents=True, exist_ok=True)
+            make_folder(self._folder)
             try:
                 self._copy(part)
                 part.replace(path)
@@ -183,7 +187,7 @@ def put_in_place(dataset: Path, part: Path) -> Path | None:
         with part.open("rb+") as file:
             os.fsync(file.fileno())
         kept = old.exists()
-        aside.parent.mkdir(exist_ok=True)
+        make_folder(aside.parent)
         for suffix in ("-shm", "-wal", ""):
             # The WAL belongs to the old file: left behind, it would be played into the new one.
             place = dataset / f"{NAME}{suffix}"

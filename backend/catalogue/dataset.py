@@ -25,7 +25,6 @@ from backend.catalogue.labels import LabelBook
 from backend.catalogue.local_disk import refuse_network
 from backend.catalogue.merge import Merged
 from backend.catalogue.packs import read_packed
-from backend.catalogue.program import program
 from backend.catalogue.recovery import reconcile
 from backend.catalogue.review import check_person
 from backend.catalogue.runs import RunBook
@@ -42,8 +41,9 @@ from backend.catalogue.values import (
 )
 from backend.catalogue.writer_lock import WriterLock
 from backend.core.faults import FaultError, InputError, RefusedError
-from backend.core.files import write_atomically
+from backend.core.files import make_folder, write_atomically
 from backend.core.flow import Episode
+from backend.core.program import program
 from backend.dataset.episode_reading import read_episode
 from backend.dataset.film_reading import FilmedEpisode, read_film, without_pictures
 from backend.dataset.pictures import KeepFrames
@@ -111,7 +111,7 @@ class Dataset:
             raise InputError(
                 "There is no dataset.", str(folder), "Name the folder that holds dataset.json."
             )
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         lock = WriterLock.take(folder, person) if write else None
         try:
             description = _describe(folder) if write else read_description(folder)
@@ -159,6 +159,13 @@ class Dataset:
             self.backup_trouble = ""
         except FaultError as error:
             self.backup_trouble = str(error)
+
+    def back_up_for(self, reason: str) -> Path | None:
+        """Make sure that a checked copy holds every operation; returns it (None: no operation yet).
+
+        Raises ``FaultError`` if it cannot be made: then do not do what it was for.
+        """
+        return self.backups.if_changed(reason) or self.backups.newest()
 
     @property
     def writable(self) -> bool:

@@ -16,7 +16,7 @@ from pathlib import Path
 from backend.catalogue.chain import canonical
 from backend.catalogue.operations import read_operations
 from backend.catalogue.values import Operation
-from backend.core.files import sync_folder
+from backend.core.files import make_folder, sync_folder
 
 TAIL_BYTES = 65_536
 FIELDS = tuple(field.name for field in fields(Operation))
@@ -68,7 +68,7 @@ def read_journal(path: Path) -> Iterator[Operation]:
 def _append(path: Path, operations: list[Operation]) -> None:
     is_new = not path.exists()
     if is_new:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
     lines = b"".join(canonical(_as_line(operation)) + b"\n" for operation in operations)
     with path.open("ab") as file:
         file.write(lines)

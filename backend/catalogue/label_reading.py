@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import sqlite3
+from collections.abc import Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from backend.catalogue import heads
 from backend.catalogue.database import Database
@@ -18,6 +22,10 @@ from backend.catalogue.operations import (
 from backend.catalogue.review import Standing
 from backend.catalogue.values import Operation, Revision
 from backend.core.faults import InputError
+from backend.core.flow import FloatArray
+
+TOGETHER = 500
+"""So many episodes are asked for in one query."""
 
 
 class LabelReader:
@@ -36,6 +44,22 @@ class LabelReader:
         if row is None:
             raise _unknown(uuid)
         return as_revision(row)
+
+    def offsets_mm(self, uuids: Sequence[str]) -> FloatArray:
+        """Return (n, 2) displacements of the heads of known episodes, NaN where there is none."""
+        found: dict[str, tuple[float, float]] = {}
+        for start in range(0, len(uuids), TOGETHER):
+            some = uuids[start : start + TOGETHER]
+            marks = ", ".join("?" * len(some))
+            sql = (
+                "SELECT h.episode, r.x_um, r.y_um FROM label_head h JOIN label_rev r"  # noqa: S608
+                f" USING (rev_uuid) WHERE r.x_um NOTNULL AND h.episode IN ({marks})"
+            )
+            for uuid, x_um, y_um in self._database.rows(sql, some):
+                found[uuid] = x_um / 1e3, y_um / 1e3
+        nowhere = (math.nan, math.nan)
+        places = [found.get(uuid, nowhere) for uuid in uuids]
+        return np.array(places, dtype=np.float64).reshape(-1, 2)
 
     def history(self, uuid: str) -> list[Revision]:
         """Return all revisions of an episode, oldest first, the branches of a merge included.

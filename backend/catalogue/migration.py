@@ -14,10 +14,10 @@ from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 
-from backend.catalogue.program import program
 from backend.catalogue.schema import SCHEMA_VERSION, STEPS
 from backend.core.faults import InputError
 from backend.core.files import sync_folder
+from backend.core.program import program
 
 QUARANTINE = "quarantine"
 STAMP = "%Y%m%dT%H%M%S%fZ"

@@ -1,17 +1,13 @@
-"""Which program and which computer wrote something."""
+"""Which computer wrote something, and with which packages."""
 
 from __future__ import annotations
 
 import os
 import platform
-from importlib.metadata import PackageNotFoundError, version
+
+from backend.core.program import version_of
 
 PACKAGES = ("numpy", "torch")
-
-
-def program() -> str:
-    """Return name and version of this program."""
-    return f"touchdown {_version('touchdown') or '(not installed)'}"
 
 
 def hardware() -> dict[str, object]:
@@ -21,11 +17,4 @@ def hardware() -> dict[str, object]:
 
 def environment() -> dict[str, object]:
     """Return the versions that numbers may depend on."""
-    return {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}}
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return ""
+    return {"python": platform.python_version(), **{name: version_of(name) for name in PACKAGES}}

@@ -14,6 +14,7 @@ QueueName = Literal[
     "unlabelled",
     "review",
     "returned",
+    "doubt",
     "disagreement",
     "uncertainty",
     "coverage",
@@ -38,8 +39,8 @@ def queue(
 
     - unlabelled: not yet accepted, oldest first, skipped ones last
     - review: submitted by others; returned: the person's own that a reviewer rejected
-    - disagreement, uncertainty: highest score first; duplicates: nearest first; a label that
-      changed since it was scored is left out of the first and the last
+    - doubt, disagreement, uncertainty: highest score first; duplicates: nearest first; a label
+      that changed since it was scored is left out of all but uncertainty
     - coverage: not yet approved, squares with the fewest approved labels first
     - conflicts: two labels since a merge; audit: a share drawn by ``seed``
     - gold: a share of the approved labels of others, to be answered blind, once each
@@ -155,6 +156,7 @@ _MAKERS: dict[str, Callable[[Database, str, int, int], list[str]]] = {
     "unlabelled": _stage("unlabelled"),
     "review": _review,
     "returned": _returned,
+    "doubt": _scored("doubt", "DESC", _SAME_LABEL),
     "disagreement": _scored("disagreement", "DESC", _SAME_LABEL),
     "uncertainty": _scored("uncertainty", "DESC", _OPEN),
     "coverage": _coverage,

@@ -19,7 +19,7 @@ from backend.catalogue.findings import Finding, Store
 from backend.catalogue.salvage import salvage
 from backend.catalogue.values import Content, Label
 from backend.core.faults import InputError
-from backend.core.files import sync_folder
+from backend.core.files import make_folder, sync_folder
 from backend.core.flow import EpisodeQuality
 from backend.dataset.channels import LABEL, unpack_json
 from backend.dataset.contents import FIX, explained, read_whole
@@ -309,7 +309,7 @@ def _is_reported(target: Path, part: Path) -> bool:
 
 def set_aside(where: Store, path: Path) -> Path:
     """Move a file to the quarantine under a free name; returns where it is."""
-    where.quarantine.mkdir(exist_ok=True)
+    make_folder(where.quarantine)
     target, number = where.quarantine / path.name, 1
     while target.exists():
         number += 1

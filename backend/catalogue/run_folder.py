@@ -18,9 +18,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self, get_args
 
-from backend.catalogue.writer_lock import lock_file
 from backend.core.faults import InputError
-from backend.core.files import sync_folder, write_atomically
+from backend.core.files import make_folder, sync_folder, write_atomically
+from backend.core.locks import lock_file
 
 RUNS = "runs"
 ABOUT, METRICS, ALIVE = "run.json", "metrics.jsonl", "alive.lock"
@@ -107,7 +107,8 @@ class LiveRun:
     def __init__(self, dataset: Path, about: About) -> None:
         self._dataset, self.about = dataset, about
         self.folder = dataset / RUNS / about.uuid
-        self.folder.mkdir(parents=True)
+        make_folder(self.folder.parent)
+        self.folder.mkdir()
         # Alive before there is anything to find: a check beside us must not take it for a crash.
         self._alive: int | None = lock_file(self.folder / ALIVE)
         self._metrics = (self.folder / METRICS).open("w", encoding="utf-8")

@@ -15,11 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from backend.catalogue.database import Database
-from backend.catalogue.program import environment, hardware, program
+from backend.catalogue.program import environment, hardware
 from backend.catalogue.run_folder import About, Artifact, LiveRun
 from backend.catalogue.run_rows import COLUMNS, follow
 from backend.catalogue.uuid7 import uuid7
 from backend.core.faults import InputError
+from backend.core.program import program
 
 _ALL = ", ".join(COLUMNS)
 

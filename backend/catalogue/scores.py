@@ -13,8 +13,9 @@ from backend.catalogue.database import Database
 from backend.catalogue.values import Label, Revision
 from backend.core.faults import InputError
 
-SCORES = ("disagreement", "uncertainty", "duplicates")
-"""``duplicates``: distance to the nearest signal whose label differs by more than 5 mm."""
+SCORES = ("doubt", "disagreement", "uncertainty", "duplicates")
+"""``doubt``: how much likelier the signals are a few mm away. ``duplicates``: distance to the
+nearest signal whose label differs by more than 5 mm, as a share of what is usual nearby."""
 
 MODEL = "model:"
 
@@ -50,6 +51,13 @@ class Scores:
     def of(self, uuid: str) -> dict[str, float]:
         """Return the scores of an episode by name."""
         return dict(self._database.rows("SELECT name, value FROM score WHERE episode = ?", (uuid,)))
+
+    def of_revision(self, name: str, uuid: str) -> tuple[str, float] | None:
+        """Return a score with the revision for which it was computed, None without one."""
+        row = self._database.first(
+            "SELECT rev_uuid, value FROM score WHERE name = ? AND episode = ?", (name, uuid)
+        )
+        return None if row is None else (str(row[0]), float(row[1]))
 
     def suggest(self, labels: Mapping[str, Label], model: str) -> None:
         """Store the offsets that ``model`` (hash of its weights) gives, with their sigma."""

@@ -14,7 +14,8 @@ import numpy as np
 from backend.core.flow import EpisodeQuality, FloatArray
 
 Source = str
-"""``commanded``, ``measured``, ``human`` or ``model:<sha256 of the weights>``."""
+"""``commanded``, ``measured``, ``human`` or ``model:<sha256 of the weights>``; of several models
+the hashes are joined by ``+``."""
 
 LabelState = Literal["unlabelled", "draft", "submitted", "approved", "rejected", "superseded"]
 Verdict = Literal["stable", "unstable", "unsure"]

@@ -6,17 +6,15 @@ import getpass
 import json
 import os
 import socket
-import sys
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
 
 from backend.core.faults import InputError
+from backend.core.locks import lock_file
 
 NAME = "writer.lock"
-_FAR_BYTE = 1 << 20
-"""Windows locks bytes against reading as well: this one is far behind the text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +38,7 @@ class DatasetInUseError(InputError):
         super().__init__(
             f"The dataset is being written by {who}.",
             str(folder),
-            "Close it there, or open it here for reading only.",
+            "Close it there first; `touchdown dataset status` looks without writing.",
         )
         self.holder = holder
 
@@ -70,20 +68,6 @@ class WriterLock:
         os.close(self._descriptor)
 
 
-def lock_file(path: Path) -> int:
-    """Lock ``path`` (made if need be) until the returned descriptor is closed.
-
-    Raises ``BlockingIOError`` if it is locked already.
-    """
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        _lock(descriptor)
-    except OSError as error:
-        os.close(descriptor)
-        raise BlockingIOError(f"{path} is locked") from error
-    return descriptor
-
-
 def holder(folder: Path) -> Writer | None:
     """Return who wrote the lock last, or None if nobody says so."""
     try:
@@ -97,16 +81,3 @@ def _account() -> str:
         return getpass.getuser()
     except (OSError, KeyError, ImportError):
         return "someone"
-
-
-def _lock(descriptor: int) -> None:
-    if sys.platform == "win32":
-        import msvcrt
-
-        os.lseek(descriptor, _FAR_BYTE, os.SEEK_SET)
-        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        os.lseek(descriptor, 0, os.SEEK_SET)
-    else:
-        import fcntl
-
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -38,6 +38,7 @@ LABEL = Topic("/episode/label", "std_msgs/msg/String")
 EVENT = Topic("/episode/event", "std_msgs/msg/String")
 WRENCH = Topic("/ft/tared", "geometry_msgs/msg/WrenchStamped", "ft")
 POSE = Topic("/robot/pose", "geometry_msgs/msg/PoseStamped", "base")
+COMMAND = Topic("/robot/command", "geometry_msgs/msg/PoseStamped", "base")
 IMAGE = {
     "left": Topic("/tac/left/image", "sensor_msgs/msg/CompressedImage", "tac_left"),
     "right": Topic("/tac/right/image", "sensor_msgs/msg/CompressedImage", "tac_right"),

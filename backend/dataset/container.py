@@ -18,7 +18,7 @@ from typing import Self
 import numpy as np
 import zstandard
 
-from backend.core.files import sync_folder
+from backend.core.files import make_folder, sync_folder
 from backend.dataset.channels import Topic, schema_text
 from backend.dataset.records import (
     INDEX_ENTRY,
@@ -43,7 +43,7 @@ class McapWriter:
     def __init__(self, path: Path, topics: Sequence[Topic]) -> None:
         self.path = path
         self.part = path.with_name(f".{path.name}.part")
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         self.channel = {topic.name: number for number, topic in enumerate(topics, start=1)}
         self._schemas, self._channels = _definitions(topics)
         self._schema_count = len({topic.schema for topic in topics})

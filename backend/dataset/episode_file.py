@@ -20,7 +20,9 @@ from backend.core.flow import (
     ScenePicture,
     TactileFrame,
 )
+from backend.core.program import program
 from backend.dataset.channels import (
+    COMMAND,
     EVENT,
     IMAGE,
     LABEL,
@@ -44,7 +46,7 @@ from backend.dataset.pictures import ENCODING, KeepFrames, encode
 from backend.dataset.records import Block, message_list, message_rows
 
 SCHEMA_VERSION = "1"
-TOPICS = (OBS, LABEL, EVENT, WRENCH, POSE, *MARKER.values(), *IMAGE.values())
+TOPICS = (OBS, LABEL, EVENT, WRENCH, POSE, COMMAND, *MARKER.values(), *IMAGE.values())
 
 
 def to_ns(t_s: ArrayLike) -> Times:
@@ -101,7 +103,7 @@ def _metadata(
         "bench": dict(metadata),
         "calibration": {"tare": json.dumps(tare)},
         "clock": {"utc_minus_monotonic_ns": "0", "method": "bench clock"},
-        "software": {"schema_version": SCHEMA_VERSION},
+        "software": {"schema_version": SCHEMA_VERSION, "program": program()},
         "pairs": {"items": json.dumps(episode.metadata)},
     }
 
@@ -130,11 +132,15 @@ def _signals(writer: McapWriter, recording: Recording) -> list[Block]:
         rows = pack_wrench(stamps, recording.wrench)
         channel = writer.channel[WRENCH.name]
         blocks.append(message_rows(channel, stamps, np.arange(len(stamps)), rows))
-    if len(recording.pose_t_s):
-        stamps = to_ns(recording.pose_t_s)
-        rows = pack_pose(stamps, recording.pose_mm)
-        channel = writer.channel[POSE.name]
-        blocks.append(message_rows(channel, stamps, np.arange(len(stamps)), rows))
+    for topic, t_s, position_mm in (
+        (POSE, recording.pose_t_s, recording.pose_mm),
+        (COMMAND, recording.command_t_s, recording.command_mm),
+    ):
+        if len(t_s):
+            stamps = to_ns(t_s)
+            rows = pack_pose(stamps, position_mm)
+            channel = writer.channel[topic.name]
+            blocks.append(message_rows(channel, stamps, np.arange(len(stamps)), rows))
     for finger in FINGERS:
         fields = [field for field in recording.fields if field.finger == finger]
         if fields:

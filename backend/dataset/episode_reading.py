@@ -23,6 +23,7 @@ from backend.core.flow import (
     TactileFrame,
 )
 from backend.dataset.channels import (
+    COMMAND,
     IMAGE,
     LABEL,
     MARKER,
@@ -100,6 +101,7 @@ def _episode(contents: Contents) -> Episode:
 def _recording(contents: Contents) -> Recording:
     wrench = contents.messages.get(WRENCH.name, [])
     pose = contents.messages.get(POSE.name, [])
+    command = contents.messages.get(COMMAND.name, [])
     fields = [field for finger in FINGERS for field in _fields(contents, finger)]
     frames = [frame for finger in FINGERS for frame in _frames(contents, finger)]
     tare = json.loads(contents.metadata["calibration"]["tare"])
@@ -112,6 +114,8 @@ def _recording(contents: Contents) -> Recording:
         pose_mm=unpack_pose_mm(pose),
         scene=tuple(_scene(contents)),
         tare=np.array(tare, dtype=np.float64).reshape(WRENCH_CHANNELS),
+        command_t_s=to_s(stamps_ns(command)),
+        command_mm=unpack_pose_mm(command),
     )
 
 

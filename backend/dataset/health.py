@@ -19,7 +19,7 @@ from backend.core.flow import FINGERS, MARKERS, TACTILE_CHANNELS, EpisodeQuality
 
 Kind = Literal[
     "asymmetry", "jerk", "no contact", "saturated markers", "lost markers", "dropped frames",
-    "clock skew", "slip", "twins",
+    "clock skew", "slip", "twins", "divided series", "unreadable",
 ]  # fmt: skip
 
 CONTACT_N = 1.0

@@ -17,8 +17,8 @@ from backend.catalogue.recording import NO_ROOM
 from backend.core.faults import Fault, FaultError, InputError
 from backend.core.files import sync_folder, write_atomically
 from backend.exchange import low_dim, manifest
-from backend.exchange.features import Feature, features
-from backend.exchange.low_dim import ExportEpisode
+from backend.exchange.features import COMMANDED, MEASURED, Feature, features
+from backend.exchange.low_dim import ExportEpisode, Signals
 from backend.exchange.query import Chosen, ExportQuery, Selection, select
 
 PARTIAL = ".partial"
@@ -32,19 +32,22 @@ Advance = Callable[[int], None]
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What a format writes. ``pictures``: also the tactile pictures at the ticks."""
+    """What a format writes. ``pictures``: also the tactile pictures at the ticks; ``tables``: the
+    recorded signals at their own rates.
+    """
 
     dataset: Dataset
     chosen: tuple[Chosen, ...]
     features: tuple[Feature, ...]
-    native: bool
+    signals: Signals
     pictures: bool
     advance: Advance
+    tables: bool = False
 
     def episodes(self) -> Iterator[ExportEpisode]:
         """Yield the episodes in order, one in memory at a time."""
         for done, one in enumerate(self.chosen):
-            yield low_dim.read_export(self.dataset, one, native=self.native, pictures=self.pictures)
+            yield low_dim.read_export(self.dataset, one, self.signals, pictures=self.pictures)
             self.advance(done + 1)
 
 
@@ -54,12 +57,15 @@ Write = Callable[[Job, Path], Mapping[str, object]]
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """One format of export. ``signals``: it holds arrays; else labels alone."""
+    """One format of export. ``signals``: it holds arrays; else labels alone, beside them ``tables``
+    of the recorded signals where these are wanted.
+    """
 
     name: str
     write: Write
     signals: bool
     video: Video = "none"
+    tables: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +93,7 @@ def export(
     wanted = chosen_format.video if video is None else video
     selection = select(dataset, query)
     _check_video(chosen_format, selection.chosen, wanted)
-    job = _job(dataset, chosen_format, selection)
+    job = replace(_job(dataset, chosen_format, selection), tables=chosen_format.tables)
     part = _begin(out)
     try:
         described = manifest.describe(dataset, chosen_format.name, query, selection, job.features)
@@ -104,10 +110,10 @@ def export(
 def _job(dataset: Dataset, chosen_format: Format, selection: Selection) -> Job:
     chosen = selection.chosen
     if not chosen_format.signals:
-        return Job(dataset, chosen, (), False, False, lambda done: None)
-    native = low_dim.have_recordings(dataset, chosen)
-    listed = features(low_dim.face_points(dataset, chosen), native=native)
-    return Job(dataset, chosen, listed, native, False, lambda done: None)
+        return Job(dataset, chosen, (), Signals(False, False), False, lambda done: None)
+    signals = low_dim.common_signals(dataset, chosen)
+    listed = features(low_dim.face_points(dataset, chosen), native=signals.native)
+    return Job(dataset, chosen, listed, signals, False, lambda done: None)
 
 
 def _check_video(chosen_format: Format, chosen: Sequence[Chosen], video: Video) -> None:
@@ -167,6 +173,8 @@ def _write(
         )
         codec[SAMPLE] = dict(chosen_format.write(sampled, _made(part / SAMPLE)))
     described["codec"] = codec
+    if job.signals.native:
+        described["feature_spec"]["action"] = COMMANDED if job.signals.commanded else MEASURED
     described["video"] = {"kind": video, "sampled": [one.entry.uuid for one in sample]}
     described["warnings"] += _warnings(job, chosen_format)
 
@@ -186,10 +194,14 @@ def _sample(filmed: Sequence[Chosen]) -> tuple[Chosen, ...]:
 def _warnings(job: Job, chosen_format: Format) -> list[str]:
     if not chosen_format.signals:
         return []
-    if not job.native:
+    if not job.signals.native:
         return ["Some episodes have no recorded signals: only what the model is given is here."]
+    action = "The action is the commanded pose of the next tick"
+    if not job.signals.commanded:
+        action = "Some episodes do not say the commanded pose: the action is the measured pose at "
+        action += "the next tick"
     return [
-        "The action is the measured pose at the next tick; the orientation of the tool is fixed.",
+        f"{action}; the orientation of the tool is fixed.",
         "Own rates and stamps are in the episode files only; here all is at 10 Hz.",
     ]
 

@@ -17,6 +17,8 @@ MARKERS, FT, FT_WINDOW = "observation.markers", "observation.ft", "observation.f
 STATE, ACTION = "observation.state", "action"
 OFFSET, PATCH = "label.offset_mm", "label.patch"
 PICTURES = {"left": "observation.images.tac_left", "right": "observation.images.tac_right"}
+COMMANDED, MEASURED = "commanded", "measured"
+"""What the action of an export is: the manifest says which."""
 DEMOS = "demos.hdf5"
 """The file of a robomimic export."""
 Values = NDArray[Any]

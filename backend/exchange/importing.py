@@ -17,10 +17,10 @@ from uuid import UUID
 
 import numpy as np
 
-from backend.catalogue import heads, operations
-from backend.catalogue.database import add_event
+from backend.catalogue import operations
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.review import check_person
+from backend.catalogue.split_tags import SPLIT_TAG
 from backend.catalogue.uuid7 import from_parts, is_uuid7, uuid7
 from backend.catalogue.values import EpisodeContext, Label
 from backend.core.faults import InputError
@@ -28,11 +28,12 @@ from backend.core.files import write_atomically
 from backend.core.flow import Episode, EpisodeQuality
 from backend.exchange import mapping
 from backend.exchange.exporting import PARTIAL
+from backend.exchange.features import COMMANDED
 from backend.exchange.foreign import read_foreign
 from backend.exchange.foreign_episode import ForeignEpisode
 from backend.exchange.manifest import GEOMETRY, Manifest, read_manifest
 from backend.exchange.mapping import Mapped
-from backend.exchange.query import SPLIT_TAG
+from backend.exchange.noting import note_import
 from backend.objects.catalogue import load_catalogue
 
 MODE = "imported"
@@ -89,6 +90,10 @@ class Import:
         self._actor = check_person(wish.actor)
         self._manifest = read_manifest(source) if source.is_dir() else None
         self._named = _by_number(self._manifest, kind, source)
+        spec = (self._manifest or {}).get("feature_spec")
+        self.backup: Path | None = None
+        """The catalogue as it was before ``write``; None until then, or of an empty dataset."""
+        self._commanded = isinstance(spec, Mapping) and spec.get("action") == COMMANDED
         known = dataset.database.rows("SELECT uuid FROM episode")
         self._known = {uuid for (uuid,) in known}
         self._geometry = "" if self._named else self._own_pair()
@@ -113,13 +118,18 @@ class Import:
         return Survey(found, fit, here, tuple(sorted(problems.items())), tuple(lost))
 
     def write(self, advance: Callable[[int], None] = lambda done: None) -> list[str]:
-        """Write the episodes that map and are not here yet; returns their ids."""
+        """Write the episodes that map and are not here yet; returns their ids.
+
+        Raises ``FaultError`` before anything is written if the catalogue cannot be backed up.
+        """
+        self.backup = self._dataset.back_up_for("import")
         self._take_geometry()
         series, written = uuid7(), list[tuple[str, str]]()
         for foreign in read_foreign(self._kind, self._source):
             if self._reason(foreign) or self._is_here(foreign):
                 continue
-            written.append(self._record(mapping.mapped(foreign), series))
+            mapped = mapping.mapped(foreign, commanded=self._commanded)
+            written.append(self._record(mapped, series))
             advance(len(written))
         self._note(series, written)
         return [uuid for uuid, _ in written]
@@ -204,19 +214,14 @@ class Import:
 
     def _note(self, series: str, written: Sequence[tuple[str, str]]) -> None:
         """Keep the sides of the split as tags, in one operation, and the import in the audit."""
-        with self._dataset.labels.commit() as connection:
+        with self._dataset.database.reading() as connection:
             marks = [
                 operations.mark_of(connection, uuid, f"{SPLIT_TAG}{side}", present=True)
                 for uuid, side in written
                 if side
             ]
-            if marks:
-                draft = operations.Draft(marks=marks)
-                site = self._dataset.description.site
-                _, touched = operations.append(connection, site, self._actor, "import", draft)
-                heads.refresh(connection, touched)
-            body = {"format": self._kind, "episodes": len(written)}
-            add_event(connection, self._actor, "import", series, body)
+        body: dict[str, str | int] = {"format": self._kind, "episodes": len(written)}
+        note_import(self._dataset, self._actor, operations.Draft(marks=marks), series, body)
         self._dataset.labels.take_stock()
 
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 from backend.catalogue import merge
 from backend.catalogue.chain import canonical
 from backend.catalogue.database import add_event
 from backend.catalogue.dataset import Dataset
-from backend.catalogue.merge import Merged
 from backend.catalogue.operations import read_operations
 from backend.catalogue.review import check_person
 from backend.catalogue.values import Operation
@@ -52,10 +51,20 @@ def read(source: Path) -> list[Operation]:
     return log
 
 
-def take(dataset: Dataset, source: Path, person: str) -> Merged:
+@dataclass(frozen=True, slots=True)
+class LogTaken:
+    """What an import of a log did. ``backup``: the catalogue as it was before."""
+
+    operations: int
+    conflicts: tuple[str, ...]
+    backup: Path | None
+
+
+def take(dataset: Dataset, source: Path, person: str) -> LogTaken:
     """Unite the operations of ``source`` with those here; both chains are verified.
 
-    Raises ``InputError`` for a broken chain, or labels of episodes that are not here.
+    Raises ``InputError`` for a broken chain, or labels of episodes that are not here, and
+    ``FaultError`` before anything is written if the catalogue cannot be backed up.
     """
     name = check_person(person)
     manifest = read_manifest(source) if source.is_dir() else None
@@ -71,13 +80,13 @@ def take(dataset: Dataset, source: Path, person: str) -> Merged:
     known = {uuid for (uuid,) in dataset.database.rows("SELECT uuid FROM episode")}
     if not named <= known:
         raise _foreign(source)
-    dataset.labels.before_bulk()
+    backup = dataset.back_up_for("import")
     with dataset.labels.commit() as connection:
         done = merge.take_labels(connection, log, str(source), episodes=0)
         body = {"operations": done.operations, "conflicts": len(done.conflicts)}
         add_event(connection, name, "import", source.name, body)
     dataset.labels.take_stock()
-    return done
+    return LogTaken(done.operations, tuple(done.conflicts), backup)
 
 
 def _revisions(operation: Operation) -> list[dict[str, str]]:

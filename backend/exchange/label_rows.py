@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
-from backend.catalogue import heads, operations, review
-from backend.catalogue.database import add_event
+from backend.catalogue import operations, review
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.label_reading import standing_of
 from backend.catalogue.values import Content, Label, Revision, Source
 from backend.core.faults import RefusedError
+from backend.exchange.noting import note_import
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,12 +26,16 @@ class LabelRow:
 
 @dataclass(frozen=True, slots=True)
 class LabelsTaken:
-    """What an import of labels did: how many changed or were the same, and what was not taken."""
+    """What an import of labels did: how many changed or were the same, and what was not taken.
+
+    ``backup``: the catalogue as it was before, None where nothing was written.
+    """
 
     changed: int
     unchanged: int
     refused: tuple[tuple[str, str], ...]
     warnings: tuple[str, ...]
+    backup: Path | None = None
 
 
 def take_labels(
@@ -39,7 +44,8 @@ def take_labels(
     """Set the labels of ``rows`` in the name of ``person``, as one operation.
 
     Equal labels are left alone. What may not be set (it waits for review, is another's work, names
-    no episode here) is refused by row. ``check``: tell only, and write nothing.
+    no episode here) is refused by row. ``check``: tell only, and write nothing. Raises
+    ``FaultError`` before anything is written if the catalogue cannot be backed up.
     """
     name = review.check_person(person)
     listed = list(rows)
@@ -56,16 +62,13 @@ def take_labels(
             unchanged += 1
         else:
             draft.revs.append(change)
+    backup = None
     if draft.revs and not check:
-        dataset.labels.before_bulk()
-        with dataset.labels.commit() as connection:
-            site = dataset.description.site
-            _, touched = operations.append(connection, site, name, "import", draft)
-            heads.refresh(connection, touched)
-            body = {"labels": len(draft.revs), "refused": len(refused)}
-            add_event(connection, name, "import", where, body)
+        backup = dataset.back_up_for("import")
+        body: dict[str, str | int] = {"labels": len(draft.revs), "refused": len(refused)}
+        note_import(dataset, name, draft, where, body)
     warnings = tuple(f"{row.episode}: {row.warning}." for row in listed if row.warning)
-    return LabelsTaken(len(draft.revs), unchanged, tuple(refused), warnings)
+    return LabelsTaken(len(draft.revs), unchanged, tuple(refused), warnings, backup)
 
 
 def _change(dataset: Dataset, row: LabelRow, person: str) -> dict[str, object] | None:

@@ -24,6 +24,7 @@ from backend.core.flow import (
     ImageArray,
     Recording,
 )
+from backend.dataset.channels import COMMAND
 from backend.dataset.contents import read_first
 from backend.dataset.episode_file import to_ns
 from backend.dataset.episode_reading import episode_of
@@ -74,17 +75,31 @@ def face_points(dataset: Dataset, chosen: Iterable[Chosen]) -> int:
     return len(dataset.geometry.pair(pairs[0]).points_mm)
 
 
-def have_recordings(dataset: Dataset, chosen: Iterable[Chosen]) -> bool:
-    """Whether every episode has its recorded signals, and not only what the model is given."""
-    return all(
-        one.entry.mode != "mass"
-        and read_first(dataset.folder / one.entry.path).metadata["episode"]["recording"] == "native"
-        for one in chosen
-    )
+@dataclass(frozen=True, slots=True)
+class Signals:
+    """What every episode of an export has. ``native``: its recorded signals, and not only what the
+    model is given; ``commanded``: also where the arm was told to be.
+    """
+
+    native: bool
+    commanded: bool
+
+
+def common_signals(dataset: Dataset, chosen: Iterable[Chosen]) -> Signals:
+    """Return what all of the episodes have."""
+    commanded = True
+    for one in chosen:
+        if one.entry.mode == "mass":
+            return Signals(native=False, commanded=False)
+        first = read_first(dataset.folder / one.entry.path)
+        if first.metadata["episode"]["recording"] != "native":
+            return Signals(native=False, commanded=False)
+        commanded = commanded and COMMAND.name in first.messages
+    return Signals(native=True, commanded=commanded)
 
 
 def read_export(
-    dataset: Dataset, one: Chosen, *, native: bool, pictures: bool = False
+    dataset: Dataset, one: Chosen, signals: Signals, *, pictures: bool = False
 ) -> ExportEpisode:
     """Read one episode; ``pictures`` decodes those nearest to the ticks, where there are any."""
     label = one.revision.label
@@ -100,9 +115,9 @@ def read_export(
     # All but the pictures is in the first chunk: a twentieth of the file.
     episode = episode_of(read_first(path), path) if film is None else film.episode
     values |= _observed(episode.observation)
-    if native:
+    if signals.native:
         assert episode.recording is not None
-        values |= _recorded(episode.recording, episode.onset_s)
+        values |= _recorded(episode.recording, episode.onset_s, commanded=signals.commanded)
     return ExportEpisode(one, values, {} if film is None else _pictures(film))
 
 
@@ -121,8 +136,12 @@ def _observed(observation: NDArray[np.float32]) -> dict[str, Values]:
     return {MARKERS: split[0].copy(), FT: split[1].copy()}
 
 
-def _recorded(recording: Recording, onset_s: float) -> dict[str, Values]:
-    """Return wrench windows and poses at the ticks, all times in whole ns since the contact."""
+def _recorded(recording: Recording, onset_s: float, *, commanded: bool) -> dict[str, Values]:
+    """Return wrench windows and poses at the ticks, all times in whole ns since the contact.
+
+    The action is where the arm is told to be at the next tick; where that is not known, where it
+    was.
+    """
     onset_ns = int(to_ns([onset_s])[0])
     ticks_ns = TICK_NS * np.arange(1, SAMPLES_PER_PROBE + 1)
     fine_ns = (TICK_NS // WINDOW) * np.arange(1, WINDOW * SAMPLES_PER_PROBE + 1)
@@ -130,13 +149,23 @@ def _recorded(recording: Recording, onset_s: float) -> dict[str, Values]:
     latest = np.searchsorted(to_ns(recording.wrench_t_s) - onset_ns, fine_ns, side="right") - 1
     wrench = recording.wrench[np.maximum(latest, 0)].astype(np.float32)
     at_ns = to_ns(recording.pose_t_s) - onset_ns
-    xyz_m = [np.interp(ticks_ns, at_ns, recording.pose_mm[:, axis]) / 1e3 for axis in range(3)]
-    state = np.zeros((SAMPLES_PER_PROBE, 7), dtype=np.float32)
-    state[:, :3] = np.stack(xyz_m, axis=1)
-    state[:, 6] = 1.0
+    xyz_mm = [np.interp(ticks_ns, at_ns, recording.pose_mm[:, axis]) for axis in range(3)]
+    state = _poses(np.stack(xyz_mm, axis=1))
     action = np.concatenate([state[1:], state[-1:]])
+    if commanded:
+        told_ns = to_ns(recording.command_t_s) - onset_ns
+        holds = np.searchsorted(told_ns, ticks_ns + TICK_NS, side="right") - 1
+        action = _poses(recording.command_mm[np.maximum(holds, 0)])
     windows = wrench.reshape(SAMPLES_PER_PROBE, WINDOW, WRENCH_CHANNELS)
     return {FT_WINDOW: windows, STATE: state, ACTION: action}
+
+
+def _poses(position_mm: FloatArray) -> NDArray[np.float32]:
+    """Return (n, 7): position in m and the quaternion of no rotation."""
+    poses = np.zeros((len(position_mm), 7), dtype=np.float32)
+    poses[:, :3] = position_mm / 1e3
+    poses[:, 6] = 1.0
+    return poses
 
 
 def _pictures(film: FilmedEpisode) -> dict[str, tuple[ImageArray, ...]]:

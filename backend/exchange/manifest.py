@@ -10,7 +10,6 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from hashlib import sha256
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from backend.catalogue.raw_files import digest
 from backend.catalogue.schema import SCHEMA_VERSION
 from backend.core.faults import InputError
 from backend.core.files import write_atomically
+from backend.core.program import program
 from backend.exchange.features import FPS, Feature
 from backend.exchange.query import Chosen, ExportQuery, Selection
 
@@ -44,7 +44,7 @@ def describe(
         "version": VERSION,
         "format": format_name,
         "created_ns": time.time_ns(),
-        "program_version": _program(),
+        "program_version": program(),
         "schema_version": SCHEMA_VERSION,
         "dataset_uuid": dataset.description.uuid,
         "query": {"text": query.text(), "resolved": resolved | {"states": list(query.states)}},
@@ -153,10 +153,3 @@ def _check_files(folder: Path, files: Sequence[Mapping[str, Any]]) -> None:
             raise ValueError(f"{listed['path']} is missing or cut short")
         if digest(path) != listed["sha256"]:
             raise ValueError(f"{listed['path']} was changed since it was exported")
-
-
-def _program() -> str:
-    try:
-        return f"touchdown {version('touchdown')}"
-    except PackageNotFoundError:
-        return "touchdown (not installed)"

@@ -21,6 +21,7 @@ from backend.core.flow import (
     TactileFrame,
 )
 from backend.exchange.features import (
+    ACTION,
     FPS,
     FT,
     FT_WINDOW,
@@ -78,12 +79,16 @@ def losses(foreign: ForeignEpisode) -> tuple[str, ...]:
     return tuple(said)
 
 
-def mapped(foreign: ForeignEpisode) -> Mapped:
-    """Return what is kept of an episode without a ``problem``."""
+def mapped(foreign: ForeignEpisode, *, commanded: bool = False) -> Mapped:
+    """Return what is kept of an episode without a ``problem``.
+
+    ``commanded``: its action is known to be the commanded pose of the next tick.
+    """
     observation = np.concatenate([foreign.values[MARKERS], foreign.values[FT]], axis=1)
     observation = np.ascontiguousarray(observation.astype(np.float32))
     assert observation.shape == (SAMPLES_PER_PROBE, CHANNELS)
-    return Mapped(foreign, observation, _recording(foreign.values), _label(foreign.values))
+    recording = _recording(foreign.values, commanded=commanded)
+    return Mapped(foreign, observation, recording, _label(foreign.values))
 
 
 def _has_signals(values: Mapping[str, NDArray[Any]]) -> bool:
@@ -94,14 +99,15 @@ def _has_signals(values: Mapping[str, NDArray[Any]]) -> bool:
     return all(key in values and values[key].shape == shape for key, shape in shapes.items())
 
 
-def _recording(values: Mapping[str, NDArray[Any]]) -> Recording | None:
+def _recording(values: Mapping[str, NDArray[Any]], *, commanded: bool) -> Recording | None:
     """Return the signals, times counted from the contact in whole ns."""
     if not _has_signals(values):
         return None
     fine_ns = (TICK_NS // WINDOW) * np.arange(1, WINDOW * SAMPLES_PER_PROBE + 1)
     ticks_s = np.asarray(1e-9 * TICK_NS * np.arange(1, SAMPLES_PER_PROBE + 1), dtype=np.float64)
     wrench: FloatArray = values[FT_WINDOW].reshape(-1, WRENCH_CHANNELS).astype(np.float64)
-    pose_mm: FloatArray = values[STATE][:, :3].astype(np.float64) * 1e3
+    pose_mm = _position_mm(values[STATE])
+    told = commanded and ACTION in values and values[ACTION].shape == values[STATE].shape
     return Recording(
         wrench_t_s=np.asarray(fine_ns * 1e-9, dtype=np.float64),
         wrench=wrench,
@@ -110,7 +116,14 @@ def _recording(values: Mapping[str, NDArray[Any]]) -> Recording | None:
         pose_t_s=ticks_s,
         pose_mm=pose_mm,
         tare=np.zeros(WRENCH_CHANNELS),
+        command_t_s=np.asarray(ticks_s + 1e-9 * TICK_NS) if told else np.zeros(0),
+        command_mm=_position_mm(values[ACTION]) if told else np.zeros((0, 3)),
     )
+
+
+def _position_mm(poses: NDArray[Any]) -> FloatArray:
+    """Return (n, 3) of poses (n, 7) in m."""
+    return np.asarray(poses[:, :3].astype(np.float64) * 1e3, dtype=np.float64)
 
 
 def _frames(values: Mapping[str, NDArray[Any]], ticks_s: FloatArray) -> tuple[TactileFrame, ...]:

@@ -13,22 +13,22 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from backend.catalogue.dataset import Dataset
+from backend.catalogue.split_tags import tagged_sides
 from backend.catalogue.values import EpisodeEntry, EpisodeFilter, Revision
 from backend.core.faults import InputError
-from backend.dataset.splits import split_groups
+from backend.dataset.splits import Split, divided, split_groups, split_series
 
 ExportState = Literal["approved", "submitted", "draft"]
 EXPORT_STATES: tuple[ExportState, ...] = get_args(ExportState)
 
-SPLIT_TAG = "split:"
-"""Tags of this prefix name the side of a split that an episode is on."""
 TRAIN, HELD_OUT = "train", "held_out"
 
 
 @dataclass(frozen=True, slots=True)
 class ExportQuery:
     """What to hand on. ``held_out``: share (0..1) of the episodes kept from training, in whole
-    grips or mountings, where no tags name a split; ``seed`` draws which.
+    series or mountings, where no tags name a split; ``seed`` draws which. ``divide_series``: a
+    pair of one series may be on both sides; the manifest then says so.
     """
 
     piece: str | None = None
@@ -38,6 +38,7 @@ class ExportQuery:
     states: tuple[ExportState, ...] = ("approved",)
     held_out: float = 0.2
     seed: int = 0
+    divide_series: bool = False
 
     def text(self) -> str:
         """Return the query in words, for the manifest."""
@@ -120,25 +121,39 @@ def _counting(
 def _sides(
     dataset: Dataset, entries: Sequence[EpisodeEntry], query: ExportQuery
 ) -> tuple[list[str], list[str]]:
-    """Return the side of each episode: by its tag where any has one, else by grip or mounting."""
-    rows = dataset.database.rows(
-        "SELECT episode, name FROM mark WHERE present AND name LIKE ?", (f"{SPLIT_TAG}%",)
-    )
-    tagged = {episode: name.removeprefix(SPLIT_TAG) for episode, name in rows}
+    """Return the side of each episode: by its tag where any has one, else drawn.
+
+    Raises ``InputError`` where tags divide a pair of a series and nobody said that they may.
+    """
+    tagged = tagged_sides(dataset.database)
     sides = [tagged.get(entry.uuid, TRAIN) for entry in entries]
-    if any(entry.uuid in tagged for entry in entries):
+    by_tag = any(entry.uuid in tagged for entry in entries)
+    if not by_tag and query.held_out > 0.0:
+        try:
+            split = _drawn(entries, query)
+        except InputError as error:
+            return sides, [f"Nothing is held out. {error.what} {error.fix}"]
+        for k in split.held_out.tolist():
+            sides[k] = HELD_OUT
+    series = [(entry.mounting_id, entry.piece, entry.bottom) for entry in entries]
+    leaks = divided(sides, series)
+    if not len(leaks):
         return sides, []
-    if query.held_out == 0.0:
-        return sides, []
+    count = len({series[k] for k in leaks.tolist()})
+    what = "1 pair of a series is" if count == 1 else f"{count} pairs of a series are"
+    what = f"Leakage: {what} on both sides, so validation knows their errors."
+    if not query.divide_series:
+        where = f"tags of {len(leaks)} episodes, {entries[int(leaks[0])].uuid} first"
+        raise InputError(what, where, "Tag whole series alike, or add --divide-series.")
+    return sides, [what]
+
+
+def _drawn(entries: Sequence[EpisodeEntry], query: ExportQuery) -> Split:
     mountings = [entry.mounting_id for entry in entries]
-    grips = [entry.grip_id for entry in entries]
-    try:
-        split = split_groups(mountings, grips, query.held_out, query.seed)
-    except InputError as error:
-        return sides, [f"Nothing is held out. {error.what}"]
-    for k in split.held_out.tolist():
-        sides[k] = HELD_OUT
-    return sides, []
+    if query.divide_series:
+        return split_groups(mountings, [e.grip_id for e in entries], query.held_out, query.seed)
+    pairs = [f"{entry.piece}/{entry.bottom}" for entry in entries]
+    return split_series(mountings, pairs, query.held_out, query.seed)
 
 
 def _nothing(dataset: Dataset, query: ExportQuery, left_out: Counter[str]) -> InputError:

@@ -18,6 +18,7 @@ from backend.core.faults import InputError
 from backend.exchange.exporting import Job
 from backend.exchange.label_rows import LabelRow
 from backend.exchange.query import Chosen
+from backend.exchange.signal_tables import SIGNALS, write_signals
 from backend.objects import clipping
 from backend.objects.shapes import turned
 
@@ -32,13 +33,15 @@ MAX_BYTES = 1_000_000_000
 
 
 def write(job: Job, folder: Path) -> Mapping[str, object]:
-    """Write ``episodes.csv``: UTF-8, comma, point, a header line."""
+    """Write ``episodes.csv``: UTF-8, comma, point, a header line; and the tables of signals."""
     with (folder / FILE).open("w", newline="", encoding="utf-8") as file:
         rows = csv.DictWriter(file, COLUMNS)
         rows.writeheader()
         for one in job.chosen:
             pair = job.dataset.geometry.pair(one.revision.geometry)
             rows.writerow(_row(one, margin_mm(pair, one.revision.label)))
+            if job.tables and one.entry.mode != "mass":
+                write_signals(job.dataset, one.entry, folder / SIGNALS)
             job.advance(one.index + 1)
     return {"data": "csv"}
 
@@ -109,6 +112,9 @@ def read(source: Path, dataset: Dataset) -> Iterator[LabelRow]:
 
 
 def _label_row(row: Mapping[str, str | None], path: Path, line: int) -> LabelRow:
+    if None in row.values() or None in row:
+        # A file that was cut short: what is left of a number looks like a number.
+        raise _bad(path, line, "It has another number of fields than the first line.")
     names = ("x_mm", "y_mm", "theta_deg", "sigma_mm")
     values = [_whole(row.get(name), name, path, line) for name in names]
     if values[0] is None or values[1] is None:

@@ -1,44 +1,56 @@
-"""What a model thinks of all labels of a dataset: the scores that order three of the queues.
+"""What models think of all labels of a dataset: the scores that order four of the queues.
 
-A job, not for a window's thread. It writes suggestions and scores under the hash of the weights;
+A job, not for a window's thread. It writes suggestions and scores under the hashes of the weights;
 no label changes.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from backend.catalogue.dataset import Dataset
-from backend.catalogue.scores import Suggestion, disagreement
+from backend.catalogue.scores import MODEL, Suggestion, disagreement
 from backend.catalogue.values import EpisodeEntry, EpisodeFilter, Label, Source
 from backend.core.faults import InputError
-from backend.core.flow import FloatArray
-from backend.placement.estimator import Estimator
-from backend.placement.offset_fit import OffsetGrid, mean_entropy
+from backend.core.flow import TACTILE_CHANNELS, FloatArray
+from backend.placement.ensemble import Ensemble
+from backend.placement.label_doubt import doubts, signals_of
+from backend.placement.offset_fit import OffsetGrid
 
 SETTLED_TICKS = 5
 """The last 0.5 s of a press are compared: the load is constant there."""
 FAR_MM = 5.0
 """Alike signals whose labels differ by more than this are worth a look."""
+FRIENDS = 10
+"""How alike signals usually are is told by so many with the nearest labels."""
+
+
+@dataclass(slots=True)
+class _Felt:
+    """What was felt in the episodes of one pair: estimated patch (N,) and settled wrench (6,)."""
+
+    uuids: list[str] = field(default_factory=list)
+    probability: list[FloatArray] = field(default_factory=list)
+    wrench: list[FloatArray] = field(default_factory=list)
 
 
 @dataclass(slots=True)
 class _Found:
-    """What one model found; ``feature``: mean of the settled signal, per episode and bottom."""
+    """What the models of one piece found; ``felt`` per pair."""
 
     suggestion: dict[str, Label] = field(default_factory=dict)
     entropy: dict[str, float] = field(default_factory=dict)
     apart: dict[str, float] = field(default_factory=dict)
-    feature: dict[str, dict[str, FloatArray]] = field(default_factory=lambda: defaultdict(dict))
+    felt: dict[str, _Felt] = field(default_factory=lambda: defaultdict(_Felt))
 
 
 def score_labels(
     dataset: Dataset,
-    model_of: Callable[[str], Estimator | None],
+    models_of: Callable[[str], Ensemble | None],
     progress: Callable[[int, int], bool],
 ) -> int:
     """Score every episode that has a model; returns how many were scored.
@@ -50,9 +62,9 @@ def score_labels(
     found: dict[str, _Found] = defaultdict(_Found)
     grids: dict[str, OffsetGrid] = {}
     for number, entry in enumerate(entries, start=1):
-        model = model_of(entry.piece)
-        if model is not None and entry.file_state == "complete":
-            _score(dataset, entry, model, grids, found[model.card.weights_sha256])
+        models = models_of(entry.piece)
+        if models is not None and entry.file_state == "complete":
+            _score(dataset, entry, models, grids, found[models.weights])
         if not progress(number, len(entries)):
             break
     for weights, part in found.items():
@@ -63,59 +75,69 @@ def score_labels(
 def _score(
     dataset: Dataset,
     entry: EpisodeEntry,
-    model: Estimator,
+    models: Ensemble,
     grids: dict[str, OffsetGrid],
     found: _Found,
 ) -> None:
     try:
         episode = dataset.film(entry.uuid).episode
-        patch = model.estimate(episode)
         if entry.geometry not in grids:
             pair = dataset.geometry.pair(entry.geometry)
             grids[entry.geometry] = OffsetGrid.of(pair.points_mm, pair.bottom)
-        fit = grids[entry.geometry].fit(patch)
+        says = models.judge(episode, grids[entry.geometry])
     except (InputError, ValueError):
         return
-    x_um, y_um = (round(1e3 * value) for value in fit.offset_mm)
-    suggested = Label(x_um, y_um, 0, round(1e3 * fit.sigma_mm))
+    x_um, y_um = (round(1e3 * value) for value in says.fit.offset_mm)
+    suggested = Label(x_um, y_um, 0, round(1e3 * says.fit.sigma_mm))
     head = dataset.labels.head(entry.uuid)
     found.suggestion[entry.uuid] = suggested
-    found.entropy[entry.uuid] = mean_entropy(patch.probability)
-    source: Source = f"model:{model.card.weights_sha256}"
+    found.entropy[entry.uuid] = says.entropy
+    source: Source = f"{MODEL}{models.weights}"
     apart = disagreement(head, Suggestion(suggested, source, 0))
-    # A label that came from this model agrees with it and says nothing.
+    # A label that came from these models agrees with them and says nothing.
     if apart is not None and head.source != source:
         found.apart[entry.uuid] = apart
-    settled = episode.observation[-SETTLED_TICKS:].mean(axis=0)
-    found.feature[entry.geometry][entry.uuid] = np.asarray(settled, dtype=np.float64)
+    felt = found.felt[entry.geometry]
+    felt.uuids.append(entry.uuid)
+    felt.probability.append(says.patch.probability)
+    settled = episode.observation[-SETTLED_TICKS:, TACTILE_CHANNELS:].mean(axis=0)
+    felt.wrench.append(np.asarray(settled, dtype=np.float64))
 
 
 def _store(dataset: Dataset, weights: str, found: _Found) -> None:
     dataset.scores.suggest(found.suggestion, weights)
     dataset.scores.put("uncertainty", found.entropy, weights)
     dataset.scores.put("disagreement", found.apart, weights)
-    for features in found.feature.values():
-        offsets = {uuid: dataset.labels.head(uuid).label.offset_mm for uuid in features}
-        dataset.scores.put("duplicates", alike(features, offsets), weights)
+    for felt in found.felt.values():
+        offsets = np.stack([dataset.labels.head(uuid).label.offset_mm for uuid in felt.uuids])
+        known = np.flatnonzero(np.isfinite(offsets).all(axis=1))
+        if len(known) < 2:
+            continue
+        signals = signals_of(np.stack(felt.probability)[known], np.stack(felt.wrench)[known])
+        uuids = [felt.uuids[k] for k in known.tolist()]
+        for name, values in (
+            ("doubt", doubts(signals, offsets[known])),
+            ("duplicates", alike(signals, offsets[known])),
+        ):
+            told = zip(uuids, values.tolist(), strict=True)
+            scores = {uuid: value for uuid, value in told if np.isfinite(value)}
+            dataset.scores.put(name, scores, weights)
 
 
-def alike(
-    features: Mapping[str, FloatArray], offsets_mm: Mapping[str, FloatArray]
-) -> dict[str, float]:
-    """Return per episode the distance to the most alike signal with a label over 5 mm away.
+def alike(signals: FloatArray, offsets_mm: FloatArray) -> FloatArray:
+    """Return (n,) how near the most alike signal with a label over 5 mm away is.
 
-    ``features`` (d,) are standardised over the episodes first. Episodes without a label, or
-    without any that far, are left out.
+    ``signals`` (n, d) and ``offsets_mm`` (n, 2) of one pair. The distance is a share of that to the
+    signals with the nearest labels: where all signals are alike, nobody contradicts. NaN where no
+    label is that far.
     """
-    uuids = [uuid for uuid in features if np.isfinite(offsets_mm[uuid]).all()]
-    if len(uuids) < 2:
-        return {}
-    x = np.stack([features[uuid] for uuid in uuids])
-    x = (x - x.mean(axis=0)) / np.maximum(x.std(axis=0), 1e-9)
-    at = np.stack([offsets_mm[uuid] for uuid in uuids])
-    nearest = {}
-    for i, uuid in enumerate(uuids):
-        far = np.hypot(*(at - at[i]).T) > FAR_MM
+    nearest = np.full(len(signals), np.nan)
+    for i in range(len(signals)):
+        apart = np.sqrt(((signals - signals[i]) ** 2).sum(axis=1))
+        away_mm = np.hypot(*(offsets_mm - offsets_mm[i]).T)
+        far = away_mm > FAR_MM
         if far.any():
-            nearest[uuid] = float(np.sqrt(((x[far] - x[i]) ** 2).sum(axis=1).min()))
+            away_mm[i] = np.inf
+            friends = np.argsort(away_mm, kind="stable")[: min(FRIENDS, len(signals) - 1)]
+            nearest[i] = apart[far].min() / max(float(np.median(apart[friends])), 1e-9)
     return nearest

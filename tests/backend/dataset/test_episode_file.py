@@ -1,6 +1,7 @@
 """Episode files: native streams bit for bit, pictures close, nothing half-written."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from backend.core.flow import (
     Recording,
     TactileFrame,
 )
+from backend.core.program import program
 from backend.dataset import episode_file
 from backend.dataset.episode_file import write_episode
 from backend.dataset.episode_reading import read_episode, read_label, to_s
@@ -47,7 +49,8 @@ def recording() -> Recording:
     wrench_us = np.arange(250) * 1000 + 13
     return Recording(
         wrench_us * 1e-6, rng.normal(size=(250, 6)), fields, frames,
-        np.arange(30) * 10_000 * 1e-6, rng.normal(size=(30, 3)) * 100, rng.normal(size=6),
+        np.arange(30) * 10_000 * 1e-6, rng.normal(size=(30, 3)) * 100, rng.normal(size=6), (),
+        np.arange(25) * 10_000 * 1e-6, rng.normal(size=(25, 3)) * 100,
     )  # fmt: skip
 
 
@@ -77,9 +80,10 @@ def test_every_native_sample_comes_back_bit_for_bit(path: Path) -> None:
     a, b = got.recording, sent.recording
     assert a is not None
     assert b is not None
-    for name in ("wrench_t_s", "wrench", "pose_t_s", "tare"):
+    for name in ("wrench_t_s", "wrench", "pose_t_s", "tare", "command_t_s"):
         assert np.array_equal(getattr(a, name), getattr(b, name)), name
     assert np.allclose(a.pose_mm, b.pose_mm, rtol=1e-15)
+    assert np.allclose(a.command_mm, b.command_mm, rtol=1e-15)
     for f, g in zip(a.fields, b.fields, strict=True):
         assert (f.finger, f.sequence, f.t_s) == (g.finger, g.sequence, g.t_s)
         assert (f.quality, f.residual_px) == (g.quality, g.residual_px)
@@ -87,6 +91,17 @@ def test_every_native_sample_comes_back_bit_for_bit(path: Path) -> None:
         assert np.array_equal(f.displacement_px, g.displacement_px)
         assert np.array_equal(f.state, g.state)
     assert read_label(path) == {"x_um": 12}
+
+
+def test_a_file_without_commanded_poses_is_read_as_before(path: Path) -> None:
+    sent = episode()
+    assert sent.recording is not None
+    silent = replace(sent.recording, command_t_s=np.zeros(0), command_mm=np.zeros((0, 3)))
+    write_episode(path, replace(sent, recording=silent), None, {})
+    got = read_episode(path).recording
+    assert got is not None
+    assert (got.command_t_s.shape, got.command_mm.shape) == ((0,), (0, 3))
+    assert np.array_equal(got.pose_t_s, silent.pose_t_s)
 
 
 def test_pictures_are_close_as_jpeg_and_exact_as_png(path: Path) -> None:
@@ -140,8 +155,9 @@ def test_the_reference_reader_sees_streams_in_order_of_time(path: Path) -> None:
         names = {c.topic: c.id for c in summary.channels.values()}
         counts = summary.statistics.channel_message_counts
         expected = {
-            "/obs": 20, "/ft/tared": 250, "/robot/pose": 30, "/tac/left/markers": FRAMES,
-            "/tac/right/markers": FRAMES, "/tac/left/image": FRAMES, "/tac/right/image": FRAMES,
+            "/obs": 20, "/ft/tared": 250, "/robot/pose": 30, "/robot/command": 25,
+            "/tac/left/markers": FRAMES, "/tac/right/markers": FRAMES,
+            "/tac/left/image": FRAMES, "/tac/right/image": FRAMES,
             "/episode/event": 1, "/episode/label": 1,
         }  # fmt: skip
         assert {topic: counts[number] for topic, number in names.items()} == expected
@@ -151,6 +167,7 @@ def test_the_reference_reader_sees_streams_in_order_of_time(path: Path) -> None:
         metadata = {m.name: m.metadata for m in reader.iter_metadata()}
     assert metadata["bench"] == {"mode": "stepped", "person": "ann"}
     assert metadata["episode"]["uuid"] == "0190-abc"
+    assert metadata["software"] == {"schema_version": "1", "program": program()}
     assert json.loads(metadata["episode"]["quality"])["slip_mm"] == 0.0625
 
 

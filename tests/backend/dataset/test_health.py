@@ -17,15 +17,14 @@ GOOD = EpisodeQuality(True, (), 0, 0.0, 0, 20.0, 0.0)
 FZ = TACTILE_CHANNELS + 2
 
 
-@pytest.fixture(scope="module")
-def clean() -> list[Examined]:
-    """Return 60 probes of the pot as the simulated bench gives them."""
+def simulated(count: int) -> list[Examined]:
+    """Return probes of the pot as the simulated bench gives them."""
     catalogue = load_catalogue()
     top, below = catalogue.top("pot"), catalogue.bottom("circle25")
     plan = Plan(
         piece="pot", bottom="circle25", face=top.face, bottom_outline=below.upper,
         face_points_mm=face_points(top.face), grip_height_mm=top.grip_height_mm,
-        width_mm=top.width_mm, episodes=60, seed=11, probes_per_grip=10,
+        width_mm=top.width_mm, episodes=count, seed=11, probes_per_grip=10,
     )  # fmt: skip
     rows = []
     for batch in simulate(plan):
@@ -33,6 +32,11 @@ def clean() -> list[Examined]:
             uuid = f"e{batch.episode[k]:02d}"
             rows.append(Examined(uuid, batch.observation[k], batch.offset_mm[k], GOOD))
     return sorted(rows, key=lambda row: row.uuid)
+
+
+@pytest.fixture(scope="module")
+def clean() -> list[Examined]:
+    return simulated(60)
 
 
 def kinds(rows) -> set[tuple[str, tuple[str, ...]]]:

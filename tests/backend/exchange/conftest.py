@@ -29,7 +29,7 @@ def picture(rng: np.random.Generator) -> np.ndarray:
     return np.ascontiguousarray(coarse.repeat(30, axis=0).repeat(32, axis=1))
 
 
-def recorded_episode(seed: int, frames: bool = True) -> Episode:
+def recorded_episode(seed: int, frames: bool = True, commands: bool = True) -> Episode:
     rng = np.random.default_rng(seed)
     onset_s = 1.25 + seed / 1e4 + 1e-7
     wrench_t_s = np.round(0.9 + 0.001 * np.arange(2600), 6) + seed / 1e4
@@ -44,6 +44,9 @@ def recorded_episode(seed: int, frames: bool = True) -> Episode:
         rng.normal(scale=20.0, size=(260, 3)), np.zeros(6),
     )  # fmt: skip
     observation = rng.normal(size=(20, 258)).astype(np.float32)
+    if commands:
+        told_mm = rng.normal(scale=20.0, size=(260, 3))
+        recording = replace(recording, command_t_s=pose_t_s.copy(), command_mm=told_mm)
     return Episode(uuid7(), "pot", observation, np.zeros(2), onset_s, GOOD, recording)
 
 
@@ -86,7 +89,9 @@ def hand(dataset: Dataset, tmp_path: Path) -> Hand:
         name: str, out: str = "", of: Dataset | None = None, video: Video | None = "none",
         query: ExportQuery | None = None,
     ) -> Exported:  # fmt: skip
-        wanted = query or ExportQuery(states=("approved", "submitted", "draft"), held_out=0.4)
+        wanted = query or ExportQuery(
+            states=("approved", "submitted", "draft"), held_out=0.4, divide_series=True
+        )
         return export(of or dataset, export_format(name), wanted, tmp_path / (out or name), video)
 
     return make

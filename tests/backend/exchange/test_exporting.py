@@ -12,18 +12,22 @@ import pytest
 import zarr
 from zarr.core.sync import cleanup_resources
 
+from backend.catalogue import heads, operations
 from backend.catalogue.dataset import Dataset
+from backend.catalogue.split_tags import SPLIT_TAG
 from backend.catalogue.values import Label
 from backend.core.faults import FaultError, InputError
 from backend.exchange import exporting
 from backend.exchange.exporting import export
 from backend.exchange.formats import EXPORTS, export_format
 from backend.exchange.importing import Import, ImportWish
-from backend.exchange.query import ExportQuery, select
+from backend.exchange.query import ExportQuery, ExportState, select
 from tests.backend.catalogue.conftest import context_for, small_episode
 from tests.backend.catalogue.test_packs_in_datasets import write_pack
 from tests.backend.exchange.conftest import Hand, recorded_episode
 from tests.backend.exchange.test_round_trip import manifest_of
+
+EVERY: tuple[ExportState, ...] = ("approved", "submitted", "draft")
 
 
 @pytest.mark.parametrize("kind", EXPORTS)
@@ -59,13 +63,57 @@ def test_the_manifest_says_where_it_comes_from(dataset: Dataset, hand: Hand) -> 
 
 
 def test_grips_stay_on_one_side(dataset: Dataset) -> None:
-    query = ExportQuery(states=("approved", "submitted", "draft"), held_out=0.4)
+    query = ExportQuery(states=EVERY, held_out=0.4, divide_series=True)
     chosen = select(dataset, query).chosen
     grips = {side: {o.entry.grip_id for o in chosen if o.split == side}
              for side in ("train", "held_out")}  # fmt: skip
     assert grips["train"]
     assert grips["held_out"]
     assert not grips["train"] & grips["held_out"]
+
+
+def tag(dataset: Dataset, uuids: list[str], side: str) -> None:
+    with dataset.labels.commit() as connection:
+        marks = [operations.mark_of(connection, u, f"{SPLIT_TAG}{side}", present=True)
+                 for u in uuids]  # fmt: skip
+        site, draft = dataset.description.site, operations.Draft(marks=marks)
+        _, touched = operations.append(connection, site, "ann", "tag", draft)
+        heads.refresh(connection, touched)
+
+
+def test_a_pair_of_a_series_is_divided_only_where_somebody_says_so(
+    dataset: Dataset, hand: Hand
+) -> None:
+    alone = select(dataset, ExportQuery(states=EVERY, held_out=0.4))
+    assert {one.split for one in alone.chosen} == {"train"}
+    assert alone.warnings[0].startswith("Nothing is held out. All episodes come from one series")
+    first, *rest = [entry.uuid for entry in dataset.episodes()]
+    tag(dataset, rest[:2], "held_out")
+    with pytest.raises(InputError, match="1 pair of a series is on both sides") as refused:
+        select(dataset, ExportQuery(states=EVERY))
+    assert first in refused.value.where
+    done = hand("csv", query=ExportQuery(states=EVERY, divide_series=True))
+    content = manifest_of(done.folder)
+    assert content["warnings"] == list(done.warnings)
+    assert content["warnings"][0].startswith("Leakage: 1 pair of a series is on both sides")
+    assert content["query"]["resolved"]["divide_series"] is True
+    assert len(content["splits"]["held_out"]) == 2
+
+
+def test_whole_series_are_held_out(dataset: Dataset) -> None:
+    for number, bottom in enumerate(("circle15", "circle25", "hex20")):
+        context = replace(context_for(dataset, "pot", bottom), mounting_id=f"mounting-{number}")
+        for k in range(3):
+            grip = replace(context, grip_id=f"{number}/{k}")
+            dataset.record(recorded_episode(50 + 3 * number + k, frames=False), Label(1, 2, 0, 3),
+                           source="measured", context=grip)  # fmt: skip
+    selection = select(dataset, ExportQuery(states=EVERY, held_out=0.3))
+    assert selection.warnings == ()
+    of = {side: {(o.entry.mounting_id, o.entry.bottom) for o in selection.chosen if o.split == side}
+          for side in ("train", "held_out")}  # fmt: skip
+    assert of["train"]
+    assert of["held_out"]
+    assert not of["train"] & of["held_out"]
 
 
 def test_states_choose_and_the_approved_label_counts(dataset: Dataset) -> None:
@@ -172,7 +220,7 @@ def test_packed_episodes_have_what_the_model_is_given(tmp_path: Path, hand: Hand
     with Dataset.open(folder) as dataset:
         done = hand("robomimic", "packed-out", of=dataset)
         assert done.episodes == 4
-        assert "no recorded signals" in done.warnings[0]
+        assert "no recorded signals" in done.warnings[1]
         with Dataset.open(tmp_path / "back") as back:
             Import(back, "robomimic", done.folder, ImportWish("dora")).write()
             mine = {back.read(e.uuid).observation.tobytes() for e in back.episodes()}

@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +15,9 @@ import pytest
 import shapely
 
 from backend.catalogue.dataset import Dataset
-from backend.core.faults import InputError
+from backend.core.faults import Fault, FaultError, InputError
 from backend.exchange import coco, journal_lines, tables
+from backend.exchange.importing import Import, ImportWish
 from backend.exchange.label_rows import LabelsTaken, take_labels
 from tests.backend.exchange.conftest import Hand
 
@@ -162,6 +165,44 @@ def test_the_log_brings_the_work_of_a_copy(hand: Hand, dataset: Dataset, tmp_pat
     assert (done.operations, done.conflicts) == (1, ())
     assert dataset.labels.head(uuid).note == "seen"
     assert journal_lines.take(dataset, out, "ann").operations == 0
+
+
+def test_an_import_keeps_the_catalogue_as_it_was(hand: Hand, dataset: Dataset) -> None:
+    out = hand("csv").folder
+    edit_csv(out / "episodes.csv", lambda rows: [row.update(x_mm="3.250") for row in rows])  # type: ignore[func-returns-value]
+    operations = dataset.database.one("SELECT count(*) FROM op")
+    done = take(dataset, out, "csv")
+    assert done.backup is not None
+    with closing(sqlite3.connect(done.backup)) as kept:
+        assert kept.execute("SELECT count(*) FROM op").fetchone() == operations
+        assert kept.execute("SELECT count(*) FROM label_rev WHERE x_um = 3250").fetchone() == (0,)
+    assert take(dataset, out, "csv").backup is None
+
+
+@pytest.mark.parametrize("kind", ["csv", "jsonl", "robomimic"])
+def test_without_its_backup_nothing_is_imported(
+    kind: str, hand: Hand, dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = hand(kind).folder
+    if kind == "csv":
+        edit_csv(out / "episodes.csv", lambda rows: [row.update(x_mm="3.250") for row in rows])  # type: ignore[func-returns-value]
+
+    # The copy that was made on closing does not have this.
+    dataset.labels.flag("ann", dataset.episodes()[0].uuid)
+
+    def refuse(reason: str) -> Path:
+        raise FaultError(Fault("BACKUP-FAILED", f"No room for '{reason}'.", "", ""))
+
+    monkeypatch.setattr(dataset.backups, "make", refuse)
+    before = dataset.database.one("SELECT count(*) FROM op")
+    bring: dict[str, Callable[[], object]] = {
+        "csv": lambda: take(dataset, out, kind),
+        "jsonl": lambda: journal_lines.take(dataset, out, "ann"),
+        "robomimic": lambda: Import(dataset, kind, out, ImportWish("ann")).write(),
+    }
+    with pytest.raises(FaultError, match="No room for 'import'"):
+        bring[kind]()
+    assert dataset.database.one("SELECT count(*) FROM op") == before
 
 
 def test_a_tampered_log_is_refused(hand: Hand, dataset: Dataset, tmp_path: Path) -> None:

@@ -39,4 +39,4 @@ def test_real_readers_find_every_number(dataset: Dataset, hand: Hand, tmp_path: 
         env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert found.returncode == 0, found.stdout + found.stderr[-3000:]
-    assert found.stdout.count(" ok ") == 5
+    assert found.stdout.count(" ok ") == 6

@@ -12,8 +12,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from backend.catalogue.dataset import Dataset
+from backend.catalogue.values import Label
 from backend.core.faults import InputError
 from backend.exchange.importing import Import, ImportWish
+from tests.backend.catalogue.conftest import context_for
 from tests.backend.exchange.conftest import Hand, recorded_episode
 
 WISH = ImportWish("dora")
@@ -95,22 +97,36 @@ def test_parquet_rows_are_the_recorded_numbers(dataset: Dataset, hand: Hand) -> 
         x_m = np.interp(t_s, recording.pose_t_s, recording.pose_mm[:, 0]) / 1e3
         state = np.array(table["observation.state"][rows], np.float32)
         np.testing.assert_allclose(state[:, 0], x_m, atol=1e-7)
+        told = [max(np.flatnonzero(recording.command_t_s <= t + 0.1 + 1e-9)) for t in t_s]
         action = np.array(table["action"][rows], np.float32)
-        assert action[:-1].tolist() == state[1:].tolist()
+        assert action[:, :3].tolist() == (recording.command_mm[told] / 1e3).astype("f4").tolist()
+        assert action[:, 3:].tolist() == [[0.0, 0.0, 0.0, 1.0]] * 20
         window = np.array(table["observation.ft_window"][rows], np.float32)
         latest = np.searchsorted(recording.wrench_t_s, t_s[4] + 1e-6, side="right") - 1
         assert window[4, -1].tolist() == recording.wrench[latest].astype(np.float32).tolist()
 
 
+def test_without_commanded_poses_the_action_is_the_measured_one(
+    dataset: Dataset, hand: Hand
+) -> None:
+    """One older episode makes it so for the whole export, and the manifest says it."""
+    assert manifest_of(hand("lerobot", "told").folder)["feature_spec"]["action"] == "commanded"
+    older = recorded_episode(70, commands=False)
+    dataset.record(older, Label(1, 2, 0, 3), source="measured", context=context_for(dataset))
+    done = hand("lerobot", "older")
+    assert manifest_of(done.folder)["feature_spec"]["action"] == "measured"
+    assert any("do not say the commanded pose" in warning for warning in done.warnings)
+    table = pq.read_table(done.folder / "data/chunk-000/file-000.parquet").to_pydict()
+    state, action = (np.array(table[key][:20]) for key in ("observation.state", "action"))
+    assert action[:-1].tolist() == state[1:].tolist()
+
+
 def test_actions_beyond_one_are_scaled_without_loss(tmp_path: Path, hand: Hand) -> None:
     far = recorded_episode(99)
     assert far.recording is not None
-    far.recording.pose_mm.flags.writeable = True
-    far.recording.pose_mm[:, 2] += 5300.0
+    far.recording.command_mm.flags.writeable = True
+    far.recording.command_mm[:, 2] += 5300.0
     with Dataset.open(tmp_path / "far") as dataset:
-        from backend.catalogue.values import Label
-        from tests.backend.catalogue.conftest import context_for
-
         context = context_for(dataset)
         dataset.record(far, Label(1, 2, 0, 3), source="measured", context=context)
         out = hand("robomimic", "scaled", of=dataset).folder

@@ -9,6 +9,7 @@ from backend.catalogue.values import EpisodeContext, Label
 from backend.core.flow import Episode, EpisodeQuality
 from backend.objects.catalogue import load_catalogue
 from backend.objects.surface import face_points
+from backend.placement.ensemble import Ensemble
 from backend.placement.estimator import Estimator
 from backend.placement.label_scores import alike, score_labels
 from backend.simulation.episodes import Plan, simulate
@@ -18,18 +19,18 @@ QUALITY = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
 
 
 def test_alike_signals_with_other_labels_by_hand():
-    features = {"a": np.array([0.0, 0.0]), "b": np.array([0.1, 0.0]), "c": np.array([3.0, 0.0])}
-    offsets = {"a": np.array([0.0, 0.0]), "b": np.array([9.0, 0.0]), "c": np.array([0.5, 0.0])}
-    found = alike(features, offsets)
-    deviation = np.std([0.0, 0.1, 3.0])
-    assert found["a"] == pytest.approx(0.1 / deviation)
-    assert found["b"] == pytest.approx(0.1 / deviation)
-    assert found["c"] == pytest.approx(2.9 / deviation)  # "a" is alike but also labelled alike
+    signals = np.array([[0.0, 0.0], [0.1, 0.0], [3.0, 0.0]])
+    offsets = np.array([[0.0, 0.0], [9.0, 0.0], [0.5, 0.0]])
+    found = alike(signals, offsets)
+    # Each has two others: what is usual is the mean of the distances to both.
+    assert found[0] == pytest.approx(0.1 / 1.55)
+    assert found[1] == pytest.approx(0.1 / 1.5)
+    assert found[2] == pytest.approx(2.9 / 2.95)  # the first is alike but also labelled alike
 
 
-def test_what_has_no_label_is_not_compared():
-    nowhere = np.array([np.nan, np.nan])
-    assert alike({"a": np.zeros(2), "b": np.ones(2)}, {"a": nowhere, "b": np.zeros(2)}) == {}
+def test_labels_that_are_all_near_contradict_nobody():
+    found = alike(np.array([[0.0], [1.0]]), np.array([[0.0, 0.0], [4.9, 0.0]]))
+    assert np.isnan(found).all()
 
 
 @pytest.fixture
@@ -57,25 +58,26 @@ def dataset(tmp_path):
 @pytest.mark.slow
 def test_wrong_labels_come_first(dataset):
     pot = load_catalogue().top("pot")
-    model = Estimator.load(shipped_model("pot"), pot)
+    models = Ensemble([Estimator.load(shipped_model("pot"), pot)])
     wrong = {entry.uuid for entry in dataset.episodes()[:WRONG]}
     before = {entry.uuid: dataset.labels.head(entry.uuid) for entry in dataset.episodes()}
     seen = []
-    count = score_labels(dataset, lambda piece: model, lambda k, n: seen.append((k, n)) is None)
+    count = score_labels(dataset, lambda piece: models, lambda k, n: seen.append((k, n)) is None)
     assert count == EPISODES
     assert seen[-1] == (EPISODES, EPISODES)
     order = dataset.queue("disagreement", "Ann")
     first = order[: 2 * WRONG]
     assert len(wrong & set(first)) >= 2  # base rate: 0.3 of these 6
+    assert dataset.queue("doubt", "Ann") == []  # too few to tell what is felt where
     assert dataset.queue("disagreement", "Ann") == order
     assert len(dataset.queue("uncertainty", "Ann")) == EPISODES
     assert {entry.uuid: dataset.labels.head(entry.uuid) for entry in dataset.episodes()} == before
     suggestion = dataset.scores.suggestion(order[0])
-    assert suggestion.source == f"model:{model.card.weights_sha256}"
+    assert suggestion.source == f"model:{models.weights}"
 
 
 @pytest.mark.slow
 def test_stopping_keeps_what_was_found(dataset):
-    model = Estimator.load(shipped_model("pot"), load_catalogue().top("pot"))
-    assert score_labels(dataset, lambda piece: model, lambda k, n: k < 5) == 5
+    models = Ensemble([Estimator.load(shipped_model("pot"), load_catalogue().top("pot"))])
+    assert score_labels(dataset, lambda piece: models, lambda k, n: k < 5) == 5
     assert len(dataset.queue("uncertainty", "Ann")) == 5

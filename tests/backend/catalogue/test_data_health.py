@@ -1,0 +1,108 @@
+"""A look through a dataset: every injected fault is listed by its kind, nothing else is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from backend.catalogue import heads, operations
+from backend.catalogue.data_health import look_through
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.split_tags import SPLIT_TAG
+from backend.catalogue.values import Label
+from backend.core.flow import Episode
+from backend.dataset.health import Examined
+from tests.backend.catalogue.conftest import context_for
+from tests.backend.catalogue.test_packs_in_datasets import write_pack
+from tests.backend.dataset import test_health as faults
+
+FAULTS: dict[str, Callable[[Examined], Examined]] = {
+    "jerk": faults.knocked,
+    "no contact": faults.never_touched,
+    "saturated markers": faults.jumped_marker,
+    "clock skew": faults.late_gel,
+    "lost markers": lambda row: faults.worse(row, lost_markers=4),
+    "dropped frames": lambda row: faults.worse(row, dropped_frames=5),
+    "slip": lambda row: faults.worse(row, slip_mm=0.4),
+}
+
+
+def always(_done: int, _count: int) -> bool:
+    return True
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[Examined]:
+    return faults.simulated(30)
+
+
+@pytest.fixture
+def filled(dataset: Dataset, rows: list[Examined]) -> dict[str, str]:
+    """Record the probes, each fault once; return the episode of each kind."""
+    context, wrong, first = context_for(dataset, "pot", "circle25"), {}, ""
+    for row, kind in zip(rows, [*FAULTS, *[""] * (len(rows) - len(FAULTS))], strict=True):
+        seen = FAULTS[kind](row) if kind else row
+        x_um, y_um = np.rint(1e3 * seen.offset_mm).astype(int).tolist()
+        episode = Episode(row.uuid, "pot", seen.observation, seen.offset_mm, 0.5, seen.quality)
+        entry = dataset.record(
+            episode, Label(x_um, y_um, 0, 300), source="commanded",
+            context=replace(context, mounting_id=f"m-{len(wrong)}"),
+        )  # fmt: skip
+        if kind:
+            wrong[kind] = entry.uuid
+        first = first or entry.uuid
+    return wrong
+
+
+def test_each_fault_is_listed(dataset: Dataset, filled: dict[str, str]) -> None:
+    health = look_through(dataset, always)
+    found = {(finding.kind, finding.episodes) for finding in health.findings}
+    assert found >= {(kind, (uuid,)) for kind, uuid in filled.items()}
+    assert {episodes for _, episodes in found} == {(uuid,) for uuid in filled.values()}
+    assert (health.looked, health.count) == (30, 30)
+    early = look_through(dataset, lambda done, _: done < 3)
+    assert (early.looked, early.count) == (3, 30)
+
+
+def test_a_damaged_file_is_a_finding(dataset: Dataset, filled: dict[str, str]) -> None:
+    uuid = next(e.uuid for e in dataset.episodes() if e.uuid not in filled.values())
+    path = dataset.path(uuid)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 3] ^= 0xFF
+    path.write_bytes(bytes(data))
+    found = look_through(dataset, always).findings
+    assert [finding.episodes for finding in found if finding.kind == "unreadable"] == [(uuid,)]
+
+
+def test_deleted_episodes_are_not_looked_at(dataset: Dataset, filled: dict[str, str]) -> None:
+    dataset.labels.delete("ann", filled["jerk"], "knocked")
+    health = look_through(dataset, always)
+    assert health.count == 29
+    assert "jerk" not in {finding.kind for finding in health.findings}
+
+
+def test_a_pair_of_a_series_on_both_sides_is_a_finding(
+    dataset: Dataset, filled: dict[str, str]
+) -> None:
+    last = [entry for entry in dataset.episodes() if entry.mounting_id == f"m-{len(FAULTS)}"]
+    with dataset.labels.commit() as connection:
+        mark = operations.mark_of(connection, last[0].uuid, f"{SPLIT_TAG}held_out", present=True)
+        draft, site = operations.Draft(marks=[mark]), dataset.description.site
+        _, touched = operations.append(connection, site, "ann", "tag", draft)
+        heads.refresh(connection, touched)
+    found = [f for f in look_through(dataset, always).findings if f.kind == "divided series"]
+    assert [set(finding.episodes) for finding in found] == [{entry.uuid for entry in last}]
+
+
+def test_every_episode_of_a_pack_is_read(tmp_path: Path) -> None:
+    Dataset.open(tmp_path / "data").close()
+    write_pack(tmp_path / "data" / "packs" / "a.mcap", count=5)
+    with Dataset.open(tmp_path / "data") as dataset:
+        health = look_through(dataset, always)
+        jerks = {f.episodes: f.text for f in health.findings if f.kind == "jerk"}
+        assert len(jerks) == 5  # random numbers: each jumps, by a length of its own
+        assert len(set(jerks.values())) > 1

@@ -1,0 +1,47 @@
+"""Splits: whole series on one side, about the share that was asked for, and what divides them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from backend.core.faults import InputError
+from backend.dataset.splits import divided, split_series
+
+SERIES = [(f"m{m}", f"pot/{bottom}") for m in range(6) for bottom in ("short", "long")]
+MOUNTING = [m for m, _ in SERIES for _ in range(10)]
+PAIR = [pair for _, pair in SERIES for _ in range(10)]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_pair_of_a_series_is_divided(seed: int) -> None:
+    split = split_series(MOUNTING, PAIR, 0.25, seed)
+    assert split.kept_together == "series"
+    assert sorted([*split.train, *split.held_out]) == list(range(120))
+    assert len(split.held_out) == 30
+    groups = list(zip(MOUNTING, PAIR, strict=True))
+    held_out = {groups[k] for k in split.held_out.tolist()}
+    assert not held_out & {groups[k] for k in split.train.tolist()}
+
+
+def test_many_mountings_are_held_out_whole() -> None:
+    mountings = [f"m{k // 4}" for k in range(160)]
+    pairs = [("pot/short", "pot/long")[k % 2] for k in range(160)]
+    split = split_series(mountings, pairs, 0.1, 1)
+    assert split.kept_together == "mounting"
+    held_out = {mountings[k] for k in split.held_out.tolist()}
+    assert len(held_out) == 4
+    assert not held_out & {mountings[k] for k in split.train.tolist()}
+
+
+def test_one_series_alone_cannot_be_split() -> None:
+    with pytest.raises(InputError, match="one series of one pair"):
+        split_series(["m"] * 8, ["pot/short"] * 8, 0.25, 0)
+
+
+def test_the_episodes_of_divided_groups_are_found() -> None:
+    sides = ["train", "train", "held_out", "held_out", "train"]
+    groups = ["a", "b", "b", "c", "a"]
+    np.testing.assert_array_equal(divided(sides, groups), [1, 2])
+    assert len(divided(["train"] * 5, groups)) == 0
+    assert len(divided([], [])) == 0

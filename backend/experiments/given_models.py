@@ -15,11 +15,19 @@ from backend.learning.checkpoint import Checkpoint, card_path, load_card, load_c
 WEIGHTS = "model.safetensors"
 
 
-def adopt_models(store: JobStore, folder: Path) -> dict[tuple[str, str], str]:
-    """Copy every model of ``folder`` to the store; returns its id there by piece and table name.
+def adopt_models(store: JobStore, *folders: Path) -> dict[tuple[str, str], str]:
+    """Copy every model of the folders to the store; returns its id there by piece and table name.
 
-    Raises ``InputError`` for an empty folder, or two models for the same cells.
+    A later folder wins. Raises ``InputError`` for an empty folder, or two models of one folder for
+    the same cells.
     """
+    found: dict[tuple[str, str], str] = {}
+    for folder in folders:
+        found |= _adopted(store, folder)
+    return found
+
+
+def _adopted(store: JobStore, folder: Path) -> dict[tuple[str, str], str]:
     found: dict[tuple[str, str], str] = {}
     for path in sorted(folder.glob("*.safetensors")):
         card = load_card(path)
@@ -54,8 +62,8 @@ def _adopt(store: JobStore, path: Path, weights_sha256: str) -> str:
     return spec.id
 
 
-def models_that_ship(preset: str) -> Path:
-    """Return the folder of shipped models: those trained on the bench ``preset``, else any."""
+def models_that_ship(preset: str) -> list[Path]:
+    """Return the folders of shipped models, that of models trained on the bench ``preset`` last."""
     folder = Path(str(files("resources"))) / "models"
     own = folder / preset
-    return own if own.is_dir() else folder
+    return [folder, own] if own.is_dir() else [folder]

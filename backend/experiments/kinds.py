@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backend.assembly import SimulatedBenchChoice, simulated_session
+from backend.config.bench_facts import bench_sha256
 from backend.config.load import parse
 from backend.config.method import StackSettings, TrainingSettings
 from backend.config.simulation import SimulationSettings
@@ -85,6 +86,7 @@ def simulate(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
         contact += sum(float(batch.patch.mean(axis=1).sum()) for batch in batches)
     n = plan.episodes
     return {
+        "bench_sha256": bench_sha256(settings),
         "episodes": n,
         "rejected": rejected,
         "slipped": slipped / n,
@@ -136,9 +138,11 @@ def static(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
         for name, source in sorted(p["models"].items())
     }
     return {
+        "bench_sha256": bench_sha256(case.settings),
         "margin_mm": [[_finite(m) for m in pair] for pair in groups.margin_mm],
         "slipped": float((groups.slip_mm > SLIPPED_MM).mean()),
         "rejected": groups.rejected,
+        "left_out": groups.left_out,
         "models": models,
     }
 
@@ -173,7 +177,10 @@ def stack(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
         else:
             scenes.append(scene)
     settings, limits = StackSettings(), EpisodeLimits()
-    answer: dict[str, Any] = {"left_out": left_out}
+    answer: dict[str, Any] = {
+        "bench_sha256": bench_sha256(case.settings),
+        "left_out": left_out,
+    }
     if p["strategy"] == "pick-and-place":
         ends = pick_and_place_in_lockstep(scenes, settings, limits)
     else:
@@ -213,10 +220,11 @@ def devices(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
         finally:
             session.close()
     return {
+        "bench_sha256": bench_sha256(_bench(p)),
         "trials": [
             {"seed": e.seed, "outcome": e.outcome.value, "reason": e.reason, "probes": e.probes}
             for e in ends
-        ]
+        ],
     }
 
 
@@ -233,12 +241,13 @@ def _trial(end: TrialEnd) -> dict[str, Any]:
 
 def twins(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
     """Describe a small collection: signals over the displacement, and like-feeling presses."""
-    simulate(spec, place)
+    facts = simulate(spec, place)
     rows = load_rows(place.folder)
     signals = held(rows)
     points = face_points(load_catalogue().top(rows.piece).face)
     pairs = find_twins(signals, rows.patch, PAIRS)
     return {
+        "bench_sha256": facts["bench_sha256"],
         "piece": rows.piece,
         "bottom": spec.params["bottom"],
         "offset_mm": _rounded(rows.offset_mm),

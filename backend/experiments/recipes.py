@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from hashlib import sha256
 from typing import Any, Literal
 
+from backend.config.bench_facts import bench_sha256
 from backend.config.method import TrainingSettings
 from backend.config.simulation import SimulationSettings
 from backend.jobs.spec import JobSpec
@@ -69,8 +68,7 @@ class Recipe:
 
     def bench_id(self) -> str:
         """Return the SHA-256 of the bench's settings."""
-        text = json.dumps(self.bench.model_dump(mode="json"), sort_keys=True)
-        return sha256(text.encode()).hexdigest()
+        return bench_sha256(self.bench)
 
     def jobs(self) -> list[JobSpec]:
         """Return every job once, inputs before what needs them."""

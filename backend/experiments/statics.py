@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,7 @@ class Groups:
     ``label`` (g, p, N): patch at the commanded displacement, as data is labelled; ``truth``
     (g, p, N): the real one; ``slip_mm`` (g, p). ``margin_mm`` (g, 2): signed margin of the first
     probe's place, top interface alone and all interfaces. ``rejected``: probes drawn again.
+    ``left_out``: groups in which a probe was no observation however often it was drawn.
     """
 
     observation: NDArray[np.float32]
@@ -41,12 +43,14 @@ class Groups:
     slip_mm: FloatArray
     margin_mm: FloatArray
     rejected: int
+    left_out: int
 
 
 def probe_groups(case: Case, seeds: list[int], probes: int) -> Groups:
     """Press ``probes`` times in each of the grippings named by ``seeds``.
 
-    Half of the groups begin at a stable place. A press that is no observation is drawn again.
+    Half of the groups begin at a stable place. A press that is no observation is drawn again;
+    a group that never gets all its probes (a grip that always slips) is left out and counted.
     """
     scenes = [probing_scene(case, seed) for seed in seeds]
     bench, limits = Lockstep(scenes), EpisodeLimits()
@@ -56,8 +60,9 @@ def probe_groups(case: Case, seeds: list[int], probes: int) -> Groups:
     seen = np.zeros((*shape, 20, 258), np.float32)
     slip = np.zeros(shape)
     rejected = 0
+    going = list(range(len(seeds)))
     for probe in range(probes):
-        waiting = list(range(len(seeds)))
+        waiting = going
         for attempt in range(ATTEMPTS):
             wanted = np.stack([_offset(case, seeds[g], g, probe, attempt) for g in waiting])
             felt = bench.press(waiting, wanted)
@@ -72,13 +77,14 @@ def probe_groups(case: Case, seeds: list[int], probes: int) -> Groups:
             waiting = [g for g, ok in zip(waiting, good, strict=True) if not ok]
             if not waiting:
                 break
-        else:
-            raise RuntimeError(f"{len(waiting)} probes were no observations {ATTEMPTS} times")
+        going = [g for g in going if g not in waiting]
+        if not going:
+            raise RuntimeError(f"no group got {probes} observations in {ATTEMPTS} attempts each")
+    seen, offset, true, slip = seen[going], offset[going], true[going], slip[going]
     outline = case.bottoms[0].face
-    yaw = [gripping.yaw_rad for gripping in bench.grippings]
     verdicts = [
-        judge(stacked(scene, (float(x), float(y)), turn))
-        for scene, (x, y), turn in zip(scenes, true[:, 0], yaw, strict=True)
+        judge(stacked(scenes[g], (float(x), float(y)), bench.grippings[g].yaw_rad))
+        for g, (x, y) in zip(going, true[:, 0], strict=True)
     ]
     return Groups(
         seen,
@@ -89,14 +95,18 @@ def probe_groups(case: Case, seeds: list[int], probes: int) -> Groups:
         slip,
         np.array([[v.margins_mm[-1], v.margin_mm] for v in verdicts]),
         rejected,
+        len(seeds) - len(going),
     )
 
 
 def join_groups(parts: Sequence[Groups]) -> Groups:
     """Return all groups in order."""
-    names = [f.name for f in fields(Groups) if f.name != "rejected"]
-    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return Groups(**joined, rejected=sum(part.rejected for part in parts))
+    counts = ("rejected", "left_out")
+    names = [f.name for f in fields(Groups) if f.name not in counts]
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in names
+    }
+    return Groups(**joined, **{name: sum(getattr(p, name) for p in parts) for name in counts})
 
 
 def _offset(case: Case, seed: int, group: int, probe: int, attempt: int) -> FloatArray:

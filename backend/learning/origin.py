@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from hashlib import sha256
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from backend.config.simulation import SimulationSettings
 from backend.core.faults import InputError
 from backend.dataset.contents import read_first
 from backend.dataset.rows import TrainingRows, find_packs
-from backend.dataset.splits import Split
+from backend.dataset.splits import Split, divided
 
 MANIFEST = "manifest.json"
 SIMULATED_MODES = frozenset({"emulated", "live simulation", "stepped", "mass"})
@@ -30,7 +30,7 @@ def manifest_of(rows: TrainingRows, split: Split) -> bytes:
         | {"split": "held out" if i in held_out else "train"}
         for i, label in enumerate(rows.labels)
     ]
-    content = {
+    content: dict[str, object] = {
         "version": 1,
         "format": "training-set",
         "piece": rows.piece,
@@ -38,7 +38,20 @@ def manifest_of(rows: TrainingRows, split: Split) -> bytes:
         "kept_together": split.kept_together,
         "episodes": episodes,
     }
+    if warnings := _leaks(rows, [str(one["split"]) for one in episodes]):
+        content["warnings"] = warnings
     return json.dumps(content, indent=1, sort_keys=True, ensure_ascii=False).encode() + b"\n"
+
+
+def _leaks(rows: TrainingRows, sides: Sequence[str]) -> list[str]:
+    """Return what validation knows of training: nothing where whole mountings were held out."""
+    count = len(divided(sides, list(zip(rows.mounting_id, rows.bottom, strict=True))))
+    if not count:
+        return []
+    return [
+        f"Leakage: {count} episodes share mounting and bottom with the other side, so validation "
+        "knows their errors."
+    ]
 
 
 def manifest_digest(manifest: bytes) -> str:

@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from backend.catalogue.dataset import Dataset
-from backend.catalogue.program import environment, hardware, program
+from backend.catalogue.program import environment, hardware
 from backend.catalogue.run_folder import About, LiveRun
 from backend.catalogue.training_set import LabelChoice, is_dataset
 from backend.catalogue.uuid7 import uuid7
 from backend.config.method import TrainingSettings
 from backend.core.faults import InputError
+from backend.core.program import program
 from backend.learning.child import TrainingProcess
 from backend.learning.job import Cancelled, Epoch, Finished, Loaded, TrainingJob
 from backend.learning.run_record import note, note_bins

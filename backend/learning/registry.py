@@ -1,7 +1,8 @@
 """Which model of each piece is in use: a history that only grows, and copies of the models.
 
 ``<folder>/in-use.jsonl`` has one line per change; the weights lie in ``<folder>/<piece>/`` under
-their hash, so that training anew over a file changes nothing that is in use.
+their hash, so that training anew over a file changes nothing that is in use. ``pre-label.jsonl``
+says which models label episodes together.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import os
 import re
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -19,7 +21,7 @@ from backend.core.faults import InputError
 from backend.core.files import sync_folder, write_atomically
 from backend.learning.checkpoint import Card, load_card, load_checkpoint, save_card
 
-HISTORY, EVALUATIONS = "in-use.jsonl", "hardware.jsonl"
+HISTORY, EVALUATIONS, ENSEMBLES = "in-use.jsonl", "hardware.jsonl", "pre-label.jsonl"
 SHIPPED = ""
 """Stands for the model that ships, where no other was ever put in use."""
 _SHA256 = re.compile(r"[0-9a-f]{64}")
@@ -82,6 +84,33 @@ class Registry:
                 )
             return self._append(Use(piece, "roll back", before, 0, person))
 
+    def ensemble(self, piece: str) -> tuple[Path, ...]:
+        """Return the models that pre-label ``piece`` together; none where none were chosen."""
+        chosen: object = ()
+        for line in _lines(self.folder / ENSEMBLES):
+            if line.get("piece") == piece:
+                chosen = line.get("weights_sha256")
+        if not isinstance(chosen, list | tuple) or not all(map(_is_sha256, chosen)):
+            raise _damaged(self.folder / ENSEMBLES)
+        return tuple(self._weights(piece, sha256) for sha256 in chosen)
+
+    def choose_ensemble(self, piece: str, models: Sequence[Path], person: str = "") -> None:
+        """Let ``models``, checked and copied, pre-label ``piece``; none: the one in use again."""
+        cards = [load_checkpoint(model).card for model in models]
+        for model, card in zip(models, cards, strict=True):
+            if card.piece != piece:
+                what = f"The model is of '{card.piece}', not of '{piece}'."
+                raise InputError(what, str(model), "Choose models of one piece.")
+        with self._lock:
+            for model, card in zip(models, cards, strict=True):
+                copy = self._weights(piece, card.weights_sha256)
+                write_atomically(copy, model.read_bytes())
+                save_card(copy, card)
+            names = sorted({card.weights_sha256 for card in cards})
+            line = {"piece": piece, "weights_sha256": names, "person": person,
+                    "at_ns": time.time_ns()}  # fmt: skip
+            _append_line(self.folder / ENSEMBLES, line)
+
     def note_hardware(self, weights_sha256: str, probes: int, iou: float, accuracy: float) -> None:
         """Keep that a model was evaluated on ``probes`` of a real bench."""
         line = {"weights_sha256": weights_sha256, "probes": probes, "iou": iou,
@@ -117,6 +146,23 @@ class Registry:
         line = {**asdict(use), "at_ns": time.time_ns()}
         _append_line(self.folder / HISTORY, line)
         return _use(line, self.folder / HISTORY)
+
+
+def models_below(folder: Path, piece: str) -> list[Path]:
+    """Return the models of ``piece`` in and below ``folder``; what is none is passed over."""
+    found: dict[str, Path] = {}
+    for path in sorted(folder.rglob("*.safetensors")):
+        try:
+            card = load_card(path)
+        except InputError:
+            continue
+        if card.piece == piece:
+            found.setdefault(card.weights_sha256, path)
+    return list(found.values())
+
+
+def _is_sha256(text: object) -> bool:
+    return isinstance(text, str) and _SHA256.fullmatch(text) is not None
 
 
 def _append_line(path: Path, line: dict[str, Any]) -> None:

@@ -11,6 +11,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as save_tensors
 from torch import Tensor
 
+from backend.config.method import TrainingSettings
 from backend.core.faults import InputError
 from backend.core.files import write_atomically
 from backend.learning.training import Trainer
@@ -51,7 +52,8 @@ def load_state(path: Path, trainer: Trainer, data: str) -> None:
     """
     try:
         facts, tensors = _read(path)
-        if facts["settings"] != trainer.settings.model_dump() or facts["data"] != data:
+        settings = TrainingSettings.model_validate(facts["settings"])
+        if settings != trainer.settings or facts["data"] != data:
             raise InputError("The saved training used other data or settings.", str(path), FIX)
         _restore(trainer, tensors)
         trainer.done, trainer.best_epoch = int(facts["done"]), int(facts["best_epoch"])

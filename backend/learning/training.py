@@ -112,12 +112,15 @@ class Trainer:
         order = rng.permutation(self.split.train)
         self._set_rate()
         self.model.train()
+        coarse = self.settings.precision == "bfloat16"
         total = 0.0
         for batch in in_parts(order, self.settings.batch):
             if cancelled():
                 return None
             self.optimiser.zero_grad()
-            loss = bce(self.model(self._inputs(batch)), self._targets[batch])
+            with torch.autocast("cpu", torch.bfloat16, enabled=coarse):
+                logits = self.model(self._inputs(batch))
+            loss = bce(logits.float(), self._targets[batch])
             loss.backward()  # type: ignore[no-untyped-call]
             self.optimiser.step()
             total += float(loss.detach()) * len(batch)

@@ -23,8 +23,9 @@ from backend.objects.shapes import Outline
 from backend.objects.tower import Tower
 from backend.simulation import camera, nuisance
 from backend.simulation.conditions import Conditions, true_offset_mm
+from backend.simulation.equilibrium import RESIDUAL_LIMIT
 from backend.simulation.gel import Gel, build_gel
-from backend.simulation.mechanics import RESIDUAL_LIMIT, Carried, begin
+from backend.simulation.mechanics import Carried, begin
 from backend.simulation.nuisance import Scope
 from backend.simulation.pressing import Pressed, noise_samples, press
 from backend.simulation.support import join_stands, stand_of

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from backend.core.flow import FloatArray
 from backend.simulation.conditions import Conditions
@@ -30,6 +31,16 @@ class Springs:
     matrix_diagonal: FloatArray
     give: FloatArray
     hidden: FloatArray
+
+    def take(self, rows: NDArray[np.intp]) -> Springs:
+        """Return the grasps ``rows``."""
+        return Springs(
+            self.finger[rows],
+            self.series[rows],
+            self.matrix_diagonal[rows],
+            self.give[rows],
+            self.hidden[rows],
+        )
 
 
 def springs(conditions: Conditions, relaxed: FloatArray, dt_s: float | FloatArray) -> Springs:

@@ -6,8 +6,8 @@ probe, grip slip by return mapping round it, then the slider anchors move.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import dataclass, fields, replace
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 from backend.core.flow import FloatArray
 from backend.simulation import contact, grasp
 from backend.simulation.conditions import Conditions
-from backend.simulation.equilibrium import balance
+from backend.simulation.equilibrium import RESIDUAL_LIMIT
+from backend.simulation.slipping import Grip, Step, gripped
 from backend.simulation.support import Pose, Stand, topples
-from backend.simulation.supported import Held, settle
 
-SLIP_TOLERANCE = 1e-5
-SLIP_PASSES = 200
-RESIDUAL_LIMIT = 1e-4
-"""Largest scaled residual (N, moments divided by 20 mm) of a usable step."""
+SPLITS = 2
+"""A step is gone in up to this many powers of two where its end is not found at once."""
+_MOVING = ("q", "slip", "relaxed", "residual", "depth_mm", "slope", "toppled")
 
 
 class Region(Protocol):
@@ -86,6 +85,26 @@ class ContactState:
             return self
         return replace(self, stand=stand, pose=Pose.upright(len(self.q), stand.interfaces))
 
+    def take(self, rows: NDArray[np.intp]) -> ContactState:
+        """Return the probes ``rows``."""
+        return replace(
+            self,
+            cells=self.cells.take(rows),
+            conditions=self.conditions.take(rows),
+            anchor=self.anchor[:, rows],
+            pivot_mm=self.pivot_mm[rows],
+            stand=None if self.stand is None else self.stand.take(rows),
+            pose=self.pose.take(rows),
+            **{name: getattr(self, name)[rows] for name in _MOVING},
+        )
+
+    def replaced(self, rows: NDArray[np.intp], by: ContactState) -> ContactState:
+        """Return a copy in which the probes ``rows`` have moved on to ``by``."""
+        anchor = self.anchor.copy()
+        anchor[:, rows] = by.anchor
+        moved = {n: _put(getattr(self, n), rows, getattr(by, n)) for n in _MOVING}
+        return replace(self, anchor=anchor, pose=self.pose.replaced(rows, by.pose), **moved)
+
 
 @dataclass(frozen=True, slots=True)
 class Solved:
@@ -104,6 +123,11 @@ class Solved:
     slip: FloatArray
     residual: FloatArray
     cop_mm: FloatArray
+
+    def replaced(self, rows: NDArray[np.intp], by: Solved) -> Solved:
+        """Return a copy in which the probes ``rows`` are those of ``by``."""
+        names = [f.name for f in fields(self)]
+        return Solved(**{n: _put(getattr(self, n), rows, getattr(by, n)) for n in names})
 
     @property
     def pressing_n(self) -> FloatArray:
@@ -167,39 +191,60 @@ def begin(
 
 
 def advance(
-    state: ContactState, commanded_mm: FloatArray, dt_s: float | FloatArray
+    state: ContactState,
+    commanded_mm: FloatArray,
+    dt_s: float | FloatArray,
+    splits: int = SPLITS,
 ) -> tuple[ContactState, Solved]:
     """Solve the next time step of ``dt_s`` for the command ``commanded_mm`` (B, 3).
 
     The command is relative to the height of first touch (z below it is negative) and to the probing
-    position. Never raises for lack of convergence: check ``residual`` against ``RESIDUAL_LIMIT``.
+    position. Where moving supports find no balance the step is gone again in halves, ``splits``
+    times. Never raises for lack of convergence: check ``residual`` against ``RESIDUAL_LIMIT``.
     """
+    after, solved = _advanced(state, commanded_mm, dt_s, last=not splits)
+    alive = state.residual <= RESIDUAL_LIMIT
+    lost = np.flatnonzero(alive & ~(solved.residual <= RESIDUAL_LIMIT))
+    if state.stand is None or not splits or not len(lost):
+        return after, solved
+    part, end_mm = state.take(lost), commanded_mm[lost]
+    half_s = 0.5 * np.broadcast_to(np.asarray(dt_s, dtype=np.float64), alive.shape)[lost]
+    middle_mm = end_mm.copy()
+    middle_mm[:, 2] = 0.5 * (part.depth_mm + end_mm[:, 2])
+    part, _ = advance(part, middle_mm, half_s, splits - 1)
+    part, found = advance(part, end_mm, half_s, splits - 1)
+    return after.replaced(lost, part), solved.replaced(lost, found)
+
+
+def _advanced(
+    state: ContactState, commanded_mm: FloatArray, dt_s: float | FloatArray, *, last: bool
+) -> tuple[ContactState, Solved]:
     conditions = state.conditions
     spring = grasp.springs(conditions, state.relaxed, dt_s)
-    slip = state.slip
     travel = commanded_mm[:, 2] - state.depth_mm
-    q, pose = state.q + travel[:, None] * state.slope, state.pose
-    alive = state.residual <= RESIDUAL_LIMIT
-    for _ in range(SLIP_PASSES):
-        unloaded = spring.hidden.copy()
-        unloaded[:, :, :3] += slip
-        zero = grasp.elastic_zero(commanded_mm, unloaded, conditions.width_mm)
-        guess = _Guess(q, pose, alive)
-        q, pose, now, residual = _balanced(state, guess, zero, spring.matrix_diagonal)
-        d = grasp.pad_motion(q, zero, commanded_mm, spring.give, conditions.width_mm)
-        normal_n = grasp.normal_force_n(d, spring, conditions.grip_force_n)
-        mapped = grasp.returned_slip(slip, d, spring, normal_n, conditions)
-        alive = alive & (residual <= RESIDUAL_LIMIT)
-        awaited = slice(None) if state.stand is None else alive
-        change = np.abs(mapped - slip)[awaited].max(initial=0.0)
-        if change < SLIP_TOLERANCE:
-            break
-        slip = mapped
-    else:
-        residual = np.full_like(residual, np.inf)
-    elastic = d.copy()
+    step = Step(
+        state.cells,
+        state.anchor,
+        conditions,
+        spring,
+        commanded_mm,
+        state.stand,
+        state.pivot_mm,
+        state.pose,
+        last,
+    )
+    start = Grip.begun(
+        state.q + travel[:, None] * state.slope,
+        state.pose,
+        state.slip,
+        state.residual <= RESIDUAL_LIMIT,
+    )
+    found, now = gripped(step, start)
+    q, slip, pose, residual = found.q, found.slip, found.pose, found.residual
+    elastic = found.d.copy()
     elastic[:, :, :3] -= slip
     moved = np.abs(travel[:, None]) > 1e-6
+    way = np.where(moved, travel[:, None], 1.0)
     after = replace(
         state,
         q=q,
@@ -208,7 +253,7 @@ def advance(
         relaxed=grasp.relax(state.relaxed, elastic, conditions, dt_s),
         residual=np.maximum(state.residual, residual),
         depth_mm=commanded_mm[:, 2],
-        slope=np.where(moved, (q - state.q) / np.where(moved, travel[:, None], 1.0), state.slope),
+        slope=np.where(moved, (q - state.q) / way, state.slope),
         pose=pose,
         toppled=state.toppled | _toppled(state, pose, residual),
     )
@@ -216,7 +261,7 @@ def advance(
         q=q,
         wrench_g=now.wrench,
         strain=elastic[:, :, :3],
-        normal_n=normal_n,
+        normal_n=found.normal_n,
         slip=slip,
         residual=residual,
         cop_mm=_centre_of_pressure(now.wrench, state.cells.r_z),
@@ -224,38 +269,17 @@ def advance(
     return after, solved
 
 
-@dataclass(frozen=True, slots=True)
-class _Guess:
-    """Where to begin; ``alive`` (B,): probes whose supports have found their balance so far."""
-
-    q: FloatArray
-    pose: Pose
-    alive: NDArray[np.bool_]
+def _put(values: Any, rows: NDArray[np.intp], by: Any) -> Any:
+    """Return the array ``values`` with ``rows`` from ``by``; which array it is, the name says."""
+    changed = values.copy()
+    changed[rows] = by
+    return changed
 
 
 def _toppled(state: ContactState, pose: Pose, residual: FloatArray) -> NDArray[np.bool_]:
     if state.stand is None:
         return np.zeros_like(state.toppled)
     return topples(state.stand, pose) & (residual <= RESIDUAL_LIMIT)
-
-
-def _balanced(
-    state: ContactState, guess: _Guess, zero: FloatArray, stiffness: FloatArray
-) -> tuple[FloatArray, Pose, contact.Touch, FloatArray]:
-    if state.stand is None:
-        q, now, residual = balance(state.cells, state.anchor, guess.q, zero, stiffness)
-        return q, guess.pose, now, residual
-    held = Held(
-        state.cells,
-        state.anchor,
-        zero,
-        stiffness,
-        state.stand,
-        state.pivot_mm,
-        state.pose.slide_mm,
-    )
-    settled, now = settle(held, guess.q, guess.pose, guess.alive)
-    return settled.q, settled.pose, now, settled.residual
 
 
 def _centre_of_pressure(wrench: FloatArray, r_z: FloatArray) -> FloatArray:

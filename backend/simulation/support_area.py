@@ -17,6 +17,7 @@ from backend.objects import clipping
 from backend.objects.shapes import Outline
 from backend.objects.tower import Body, Tower, interface
 
+_UNIT = np.eye(2)
 ON_MM = 1e-7
 CORNER_MM = 0.01
 """So near to the edges of both faces lies a corner of the overlap: it is clipped from polygons."""
@@ -155,16 +156,19 @@ def _onto(
     inside = distance <= grown_mm[..., None]
     safe = np.where(distance > 0.0, distance, 1.0)
     outward = away / safe
-    turn = np.eye(2) - outward[..., :, None] * outward[..., None, :]
+    turn = _UNIT - outward[..., :, None] * outward[..., None, :]
     share = (grown_mm[..., None] / safe)[..., None]
-    outside = slope + share * turn @ (np.eye(2) - slope)
+    outside = slope + share * turn @ (_UNIT - slope)
     return (
         np.where(inside, points_mm, foot + grown_mm[..., None] * outward),
-        np.where(inside[..., None], np.eye(2), outside),
+        np.where(inside[..., None], _UNIT, outside),
     )
 
 
 def _onto_core(core_mm: FloatArray, points_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    if core_mm.shape[-2] == 1:
+        # Discs alone, as most bottoms are: nothing to look for.
+        return core_mm[..., 0, :] + np.zeros_like(points_mm), np.zeros((*points_mm.shape, 2))
     along = np.roll(core_mm, -1, axis=-2) - core_mm
     length2 = (along**2).sum(axis=-1)
     exists = length2 > 0.0
@@ -181,5 +185,5 @@ def _onto_core(core_mm: FloatArray, points_mm: FloatArray) -> tuple[FloatArray, 
     chosen *= ((share > 0.0) & (share < 1.0))[..., None]
     slope = chosen[..., :, None] * chosen[..., None, :]
     slope /= np.take_along_axis(length2, best, axis=-1)[..., None]
-    slope = np.where(inside[..., None, None], np.eye(2), slope)
+    slope = np.where(inside[..., None, None], _UNIT, slope)
     return np.where(inside[..., None], points_mm, foot), slope

@@ -16,16 +16,19 @@ from numpy.typing import NDArray
 
 from backend.core.flow import FloatArray
 from backend.simulation.contact import Cells, Touch, tangent, touch
-from backend.simulation.equilibrium import SCALE, TOLERANCE, balance
+from backend.simulation.equilibrium import RESIDUAL_LIMIT, SCALE, TOLERANCE, balance
 from backend.simulation.support import Pose, Stand, below_mm, drift_mm, unladen
 
 MAX_ITERATIONS = 40
 HALVINGS = 12
+PATIENCE, PROGRESS = 8, 0.5
+"""A search whose residual has not fallen to this share in so many iterations is given up."""
 ROCK_MM_RAD = 1000.0
 """Weight of an angle beside a place in the law of rocking: any positive one gives the same."""
 SLIDE_N_MM = 10.0
 MOMENT_N_MM = 0.4
 """A resultant off by 1 mm counts as this residual, as 8 N do in the scale of the piece."""
+DRAGS_MM_RAD = (1e8, 1e7, 1e6, 1e5, 1e4, 1e3, 1e2, 1e1)
 VISCOUS = 1e-6
 """Keeps the matrix regular where face and table slide at once; the residual is without it."""
 AXES = np.eye(2)
@@ -36,7 +39,8 @@ class Held:
     """Grasp and place of B probes during one solution.
 
     ``zero`` q° (B, 6) and ``stiffness`` (B, 6) of the grasp; ``pivot_mm`` (B, 2): the pivot over
-    ``O``; ``slid_mm`` (B, m, 2): sliding at the beginning of the time step.
+    ``O``; ``slid_mm``, ``leaned_rad`` (B, m, 2): sliding and rocking so far. ``drag_mm_rad``: the
+    resultant is taken as shifted back by so much per radian of rocking further than that.
     """
 
     cells: Cells
@@ -46,6 +50,8 @@ class Held:
     stand: Stand
     pivot_mm: FloatArray
     slid_mm: FloatArray
+    leaned_rad: FloatArray
+    drag_mm_rad: float = 0.0
 
     def take(self, rows: NDArray[np.intp]) -> Held:
         """Return the probes ``rows``."""
@@ -57,6 +63,8 @@ class Held:
             self.stand.take(rows),
             self.pivot_mm[rows],
             self.slid_mm[rows],
+            self.leaned_rad[rows],
+            self.drag_mm_rad,
         )
 
 
@@ -68,43 +76,45 @@ class Settled:
     pose: Pose
     residual: FloatArray
 
-    def improved(self, rows: NDArray[np.intp], by: Settled) -> Settled:
-        """Return a copy in which the probes ``rows`` are those of ``by`` where that is better."""
-        better = by.residual < self.residual[rows]
-        rows, chosen = rows[better], np.flatnonzero(better)
+    def replaced(self, rows: NDArray[np.intp], by: Settled) -> Settled:
+        """Return a copy in which the probes ``rows`` are those of ``by``."""
         q, residual = self.q.copy(), self.residual.copy()
-        q[rows], residual[rows] = by.q[chosen], by.residual[chosen]
-        return Settled(q, self.pose.replaced(rows, by.pose.take(chosen)), residual)
+        q[rows], residual[rows] = by.q, by.residual
+        return Settled(q, self.pose.replaced(rows, by.pose), residual)
+
+    def take(self, rows: NDArray[np.intp]) -> Settled:
+        """Return the probes ``rows``."""
+        return Settled(self.q[rows], self.pose.take(rows), self.residual[rows])
 
 
 def settle(
-    held: Held, q: FloatArray, pose: Pose, alive: NDArray[np.bool_]
-) -> tuple[Settled, Touch]:
-    """Return the equilibrium nearest to the guess ``q`` (B, 6), ``pose``, and its cell forces.
+    held: Held, q: FloatArray, pose: Pose, alive: NDArray[np.bool_], *, eased: bool
+) -> Settled:
+    """Return the equilibrium nearest to the guess ``q`` (B, 6), ``pose``.
 
     The supports of probes that are no longer ``alive`` (B,) stay, with a residual of infinity.
+    ``eased``: search harder where nothing was found.
     """
-    ride = carried(held, pose)
-    relative, now, residual = balance(
-        held.cells, held.anchor, q - ride, held.zero - ride, held.stiffness
-    )
-    q = relative + ride
-    law = _Law.at(held, q, pose, now)
-    unsettled = ~(law.size <= TOLERANCE)
-    residual = np.where(unsettled & ~alive, np.inf, residual)
-    rows = np.flatnonzero(unsettled & alive)
+    start = _kept(held, q, pose)
+    rows = np.flatnonzero(alive & ~(start.residual <= TOLERANCE))
     if not len(rows):
-        return Settled(q, pose, residual), now
-    found = _together(held.take(rows), q[rows], pose.take(rows))
+        return start
+    loose = held.take(rows)
+    found = _together(loose, start.q[rows], start.pose.take(rows))
     lost = np.flatnonzero(~(found.residual <= TOLERANCE))
-    if len(lost):
-        again = _from_upright(held.take(rows[lost]), q[rows[lost]], pose.take(rows[lost]))
-        found = found.improved(lost, again)
-    q, residual = q.copy(), residual.copy()
-    q[rows], residual[rows] = found.q, found.residual
-    pose = pose.replaced(rows, found.pose)
-    now = touch(held.cells, held.anchor, q - carried(held, pose))
-    return Settled(q, pose, residual), now
+    if eased and len(lost):
+        again = _eased(loose.take(lost), start.q[rows[lost]], start.pose.take(rows[lost]))
+        found = found.replaced(lost, again)
+    # A press without balance goes on as on rigid supports: no forces out of a lost search.
+    usable = np.flatnonzero(found.residual <= RESIDUAL_LIMIT)
+    return start.replaced(rows[usable], found.take(usable))
+
+
+def _kept(held: Held, q: FloatArray, pose: Pose) -> Settled:
+    """Return the equilibrium on supports that stay; residual infinity where they may not."""
+    q, now, residual = _fixed(held, q, pose)
+    law = _Law.at(held, q, pose, now)
+    return Settled(q, pose, np.where(law.size <= TOLERANCE, residual, np.inf))
 
 
 def carried(held: Held, pose: Pose, edge_mm: FloatArray | None = None) -> FloatArray:
@@ -151,6 +161,7 @@ class _Law:
         moment += stand.centre_nmm + unladen(stand, pose)
         centre = moment / load[..., None]
         at = centre - drift_mm(stand, pose)
+        at -= held.drag_mm_rad * (pose.rock_rad - held.leaned_rad)
         corner, slope = stand.area.nearest(at + ROCK_MM_RAD * pose.rock_rad)
         rock = np.where(stand.rocks[..., None], at - corner, pose.rock_rad * ROCK_MM_RAD)
         lateral = -now.wrench[:, None, :2]
@@ -195,81 +206,103 @@ def _face_motion(cells: Cells, q: FloatArray) -> FloatArray:
     return np.asarray(q[:, :2] + cells.r_z[:, None] * along)
 
 
-def _from_upright(held: Held, q: FloatArray, pose: Pose) -> Settled:
-    """Look for the equilibrium from upright supports; one interface after the other gives way."""
-    count, m = pose.rock_rad.shape[:2]
-    upright = Pose(np.zeros_like(pose.rock_rad), held.slid_mm)
-    best = None
-    for free in [*range(m), None] if m > 1 else [None]:
-        rocks = held.stand.rocks.copy()
-        if free is not None:
-            rocks &= np.arange(m) == free
-        trial = replace(held, stand=replace(held.stand, rocks=rocks))
-        start = _fixed(trial, q, upright) if best is None or free is not None else best.q
-        guess = upright if best is None or free is not None else best.pose
-        found = _together(trial, start, guess)
-        checked = _checked(held, found)
-        best = checked if best is None else best.improved(np.arange(count), checked)
-    assert best is not None
-    return best
+def _eased(held: Held, q: FloatArray, pose: Pose) -> Settled:
+    """Let the supports give way against a drag, and take it away by and by.
+
+    Between sticking and sliding of the faces lies a way of 0.001 mm, a micro-radian of a tower:
+    without drag the search leaps over it.
+    """
+    now = Settled(q, pose, np.full(len(q), np.inf))
+    for drag in DRAGS_MM_RAD:
+        slowly = replace(held, leaned_rad=now.pose.rock_rad, drag_mm_rad=drag)
+        found = _together(slowly, now.q, now.pose)
+        there = np.flatnonzero(found.residual <= TOLERANCE)
+        now = now.replaced(there, found.take(there))
+    return _together(held, now.q, now.pose)
 
 
-def _fixed(held: Held, q: FloatArray, pose: Pose) -> FloatArray:
-    """Return q (B, 6) of the equilibrium on supports that stay at ``pose``."""
+def _fixed(held: Held, q: FloatArray, pose: Pose) -> tuple[FloatArray, Touch, FloatArray]:
+    """Return q (B, 6), forces and residual of the equilibrium on supports that stay at ``pose``."""
     ride = carried(held, pose)
-    relative, _, _ = balance(held.cells, held.anchor, q - ride, held.zero - ride, held.stiffness)
-    return relative + ride
-
-
-def _checked(held: Held, found: Settled) -> Settled:
-    """Return ``found`` with the residual of all laws."""
-    edge = held.stand.area.foremost(found.pose.rock_rad)
-    _, _, _, size = _residual(held, found.q, found.pose, edge)
-    return replace(found, residual=size)
+    relative, now, residual = balance(
+        held.cells, held.anchor, q - ride, held.zero - ride, held.stiffness
+    )
+    return relative + ride, now, residual
 
 
 def _together(held: Held, q: FloatArray, pose: Pose) -> Settled:
-    """Newton with step halving on piece and supports at once.
+    """Newton with step halving on piece and supports at once; finished probes are laid aside.
 
     During one step the edges stay where the last one found them: the lift of a body about a given
     edge is smooth through its upright position, that about the edge it happens to lean on is not.
     """
+    ends = Settled(q, pose, np.full(len(q), np.inf))
+    rows = np.arange(len(q))
+    edge = held.stand.area.foremost(pose.rock_rad)
+    rest = _Rest.at(held, q, pose, edge)
+    before = np.full(len(q), np.inf)
+    for number in range(MAX_ITERATIONS):
+        edge = rest.law.corner_mm
+        rest = _Rest.at(held, q, pose, edge)
+        going = rest.size > TOLERANCE
+        if number % PATIENCE == 0:
+            going &= rest.size < PROGRESS * before
+            before = rest.size
+        busy = np.flatnonzero(going)
+        if len(busy) < len(rows):
+            ends = ends.replaced(rows, Settled(q, pose, rest.size))
+            rows, q, pose, edge = rows[busy], q[busy], pose.take(busy), edge[busy]
+            before = before[busy]
+            held = held.take(busy)
+            rest = _Rest.at(held, q, pose, edge)
+        if not len(rows):
+            return ends
+        q, pose, rest = _stepped(held, q, pose, edge, rest)
+    return ends.replaced(rows, Settled(q, pose, rest.size))
+
+
+def _stepped(
+    held: Held, q: FloatArray, pose: Pose, edge_mm: FloatArray, rest: _Rest
+) -> tuple[FloatArray, Pose, _Rest]:
+    """Go one Newton step, halved for each probe until its residual falls."""
     m = held.stand.interfaces
-    now, law, rest, size = _residual(held, q, pose, held.stand.area.foremost(pose.rock_rad))
-    for _ in range(MAX_ITERATIONS):
-        edge = law.corner_mm
-        now, law, rest, size = _residual(held, q, pose, edge)
-        busy = size > TOLERANCE
-        if not busy.any():
+    matrix = _matrix(held, q, rest.now, rest.law, edge_mm)
+    laws = np.concatenate([rest.law.rock, rest.law.slide], axis=1).reshape(len(q), 4 * m)
+    right = np.concatenate([rest.force, laws], axis=1)
+    step = np.linalg.solve(matrix, -right[:, :, None])[:, :, 0]
+    for _ in range(HALVINGS):
+        tried_q = q + step[:, :6]
+        tried = Pose(
+            pose.rock_rad + step[:, 6 : 6 + 2 * m].reshape(-1, m, 2),
+            pose.slide_mm + step[:, 6 + 2 * m :].reshape(-1, m, 2),
+        )
+        found = _Rest.at(held, tried_q, tried, edge_mm)
+        worse = ~(found.size < rest.size)
+        if not worse.any():
             break
-        matrix = _matrix(held, q, now, law, edge)
-        laws = np.concatenate([law.rock, law.slide], axis=1).reshape(len(q), 4 * m)
-        right = np.concatenate([rest, laws], axis=1)
-        step = np.linalg.solve(matrix, -right[:, :, None])[:, :, 0]
-        step[~busy] = 0.0
-        for _ in range(HALVINGS):
-            tried_q = q + step[:, :6]
-            tried = Pose(
-                pose.rock_rad + step[:, 6 : 6 + 2 * m].reshape(-1, m, 2),
-                pose.slide_mm + step[:, 6 + 2 * m :].reshape(-1, m, 2),
-            )
-            there, new_law, left, new_size = _residual(held, tried_q, tried, edge)
-            worse = busy & ~(new_size < size)
-            if not worse.any():
-                break
-            step[worse] *= 0.5
-        q, pose, now, law, rest, size = tried_q, tried, there, new_law, left, new_size
-    return Settled(q, pose, size)
+        step[worse] *= 0.5
+    return tried_q, tried, found
 
 
-def _residual(
-    held: Held, q: FloatArray, pose: Pose, edge_mm: FloatArray
-) -> tuple[Touch, _Law, FloatArray, FloatArray]:
-    now = touch(held.cells, held.anchor, q - carried(held, pose, edge_mm))
-    law = _Law.at(held, q, pose, now)
-    rest = now.wrench - held.stiffness * (q - held.zero)
-    size = np.sqrt(((rest * SCALE) ** 2).sum(axis=1) + law.size**2)
-    return now, law, rest, size
+@dataclass(frozen=True, slots=True)
+class _Rest:
+    """What is missing to balance: of the piece ``force`` (B, 6) in N and N·mm, of the ``law``.
+
+    ``size`` (B,): both as one number in N.
+    """
+
+    now: Touch
+    law: _Law
+    force: FloatArray
+    size: FloatArray
+
+    @classmethod
+    def at(cls, held: Held, q: FloatArray, pose: Pose, edge_mm: FloatArray) -> _Rest:
+        now = touch(held.cells, held.anchor, q - carried(held, pose, edge_mm))
+        law = _Law.at(held, q, pose, now)
+        force = now.wrench - held.stiffness * (q - held.zero)
+        size = np.sqrt(((force * SCALE) ** 2).sum(axis=1) + law.size**2)
+        return cls(now, law, force, size)
 
 
 def _matrix(held: Held, q: FloatArray, now: Touch, law: _Law, edge_mm: FloatArray) -> FloatArray:
@@ -317,7 +350,7 @@ def _resultant_slope(
     slope[..., 6 : 6 + 2 * m] += _spread(stand.rocked_nmm)
     slope[..., 6 + 2 * m :] += _spread(stand.moved_n)
     slope /= law.load_n[..., None, None]
-    slope[..., 6 : 6 + 2 * m] -= _spread(below_mm(stand))
+    slope[..., 6 : 6 + 2 * m] -= _spread(below_mm(stand) + held.drag_mm_rad * np.eye(m))
     slope[..., 6 + 2 * m :] -= _spread(np.broadcast_to(np.tri(m), (len(q), m, m)))
     return slope
 

@@ -140,6 +140,18 @@ def test_eight_episodes_are_learnt_by_heart() -> None:
     assert [r.epoch for r in reports] == list(range(1, 61))
 
 
+def test_coarse_products_train_float32_weights_to_nearly_the_same_loss() -> None:
+    data = rows(24)
+    exact, coarse = (
+        Trainer(data, SMALL.model_copy(update={"precision": name}))
+        for name in ("float32", "bfloat16")
+    )
+    losses = [[report.validation_loss for report in t.epochs()] for t in (exact, coarse)]
+    assert losses[0] != losses[1]
+    assert losses[1] == pytest.approx(losses[0], rel=0.03)
+    assert {w.dtype for w in coarse.model.state_dict().values()} == {torch.float32}
+
+
 def test_resume_equals_uninterrupted_bit_for_bit(tmp_path: Path) -> None:
     data = rows(24)
     name = fingerprint(data)

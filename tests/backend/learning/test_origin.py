@@ -1,6 +1,7 @@
 """Cards tell the bench of their data, and hardware probes count only where they are real."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,10 @@ def test_the_benches_of_a_dataset_are_told(tmp_path: Path) -> None:
     listed = json.loads(manifest_of(rows, split_rows(rows, 0.3, 0)))["episodes"]
     assert len({e["file_sha256"] for e in listed}) == len(rows) == 9
     assert all(e["revision"] for e in listed)
+    one_mounting = replace(rows, mounting_id=("m",) * len(rows))
+    told = [json.loads(manifest_of(r, split_rows(r, 0.3, 0))) for r in (rows, one_mounting)]
+    assert "warnings" not in told[0]
+    assert told[1]["warnings"][0].startswith("Leakage: 9 episodes share mounting and bottom")
 
 
 def test_an_imported_episode_is_not_taken_for_a_simulation(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from backend.core.faults import InputError
 from backend.learning.checkpoint import Card, Sizes, load_checkpoint, save_checkpoint
-from backend.learning.registry import HISTORY, SHIPPED, Registry
+from backend.learning.registry import ENSEMBLES, HISTORY, SHIPPED, Registry, models_below
 from backend.learning.shape import ARCH, Shape, expected_arrays
 
 Make = Callable[[str, int], Path]
@@ -118,3 +118,30 @@ def test_hardware_probes_are_counted_per_model(tmp_path: Path) -> None:
     registry.note_hardware("a", 60, 0.7, 0.8)
     registry.note_hardware("b", 90, 0.7, 0.8)
     assert registry.hardware_probes("a") == 60
+
+
+def test_several_models_pre_label_together_until_none_is_chosen(tmp_path: Path, make: Make) -> None:
+    registry = Registry(tmp_path / "models")
+    assert registry.ensemble("pot") == ()
+    make("barrel", 1)
+    make("pot", 1), make("pot", 2)
+    (tmp_path / "torn.safetensors").write_bytes(b"no model")
+    found = models_below(tmp_path, "pot")
+    registry.choose_ensemble("pot", found, "Ann")
+    chosen = registry.ensemble("pot")
+    assert {sha(path) for path in chosen} == {sha(path) for path in found}
+    assert len(chosen) == 2
+    for path in found:
+        path.unlink()
+    assert len({sha(path) for path in chosen}) == 2  # copies of its own
+    assert registry.in_use("pot") is None
+    with pytest.raises(InputError, match="not of 'pot'"):
+        registry.choose_ensemble("pot", models_below(tmp_path, "barrel"))
+    registry.choose_ensemble("pot", [])
+    assert registry.ensemble("pot") == ()
+
+
+def test_a_list_of_models_made_by_others_names_no_foreign_file(tmp_path: Path) -> None:
+    (tmp_path / ENSEMBLES).write_text('{"piece": "pot", "weights_sha256": ["../x"]}\n')
+    with pytest.raises(InputError, match="damaged"):
+        Registry(tmp_path).ensemble("pot")

@@ -9,10 +9,11 @@ from backend.config.method import ProbeSettings
 from backend.config.simulation import SimulationSettings, SupportSettings
 from backend.objects.catalogue import load_catalogue
 from backend.objects.shapes import circle, rectangle
+from backend.objects.starts import draw_offset
 from backend.objects.surface import face_points
 from backend.objects.tower import Body, Tower, judge
 from backend.simulation import lockstep, nuisance
-from backend.simulation.episodes import simulate
+from backend.simulation.episodes import SANITY, simulate
 from backend.simulation.holding import Holding, start_command_mm
 from backend.simulation.mechanics import RESIDUAL_LIMIT, ContactState, Solved, advance, begin
 from backend.simulation.pressing import press
@@ -171,6 +172,31 @@ def test_episodes_are_the_same_bytes_where_the_supports_hold_still() -> None:
     heavy = plan(bottom="short", episodes=8, bottoms=Tower((disc,)), settings=settings)
     still = everything(simulate(heavy))
     np.testing.assert_allclose(still.observation, rigid.observation, atol=1e-4)
+
+
+def test_no_press_on_free_bottoms_is_harder_than_a_spring_can_make_it() -> None:
+    """A search that finds no balance must not leave its last forces behind: they trip the arm."""
+    catalogue, settings = load_catalogue(), SimulationSettings.model_validate({"preset": "hard"})
+    tower = Tower((catalogue.bottom("long").body(),))
+    piece = catalogue.top("mushroom")
+    scenes = [Scene(piece, tower, (0.0, 0.0), seed, settings) for seed in range(24)]
+    places = draw_offset(np.random.default_rng(5), piece.face, tower.bodies[0].upper, len(scenes))
+    seen = []
+
+    def watched(*args, **more):
+        seen.append(press(*args, **more))
+        return seen[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(lockstep, "press", watched)
+        felt = lockstep.Lockstep(scenes).press(range(len(scenes)), places)
+    wrench = seen[0].timeline.values[:, :, :6]
+    assert np.isfinite(wrench).all()
+    assert (
+        wrench[:, :, 2].max() < SANITY * 5.22 * 1.6
+    )  # series stiffness times depth: reference 3.1
+    assert felt.valid.mean() > 0.85
+    assert (np.hypot(*np.moveaxis(seen[0].state.pose.rock_rad, -1, 0)) > 1e-4).mean() > 0.3
 
 
 def test_devices_and_batch_rock_alike(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,6 +11,7 @@ import pytest
 from backend.config.simulation import SimulationSettings
 from backend.core.faults import FaultError
 from backend.core.flow import FINGERS, Pose
+from backend.core.stream import SampleStream
 from backend.devices.protocols import PressCommand
 from backend.devices.sim.bench import BenchStreams, SimulatedBench
 from backend.objects.catalogue import load_catalogue
@@ -376,6 +377,7 @@ def test_streams_of_a_former_scene_are_forgotten():
         {finger: first.bench.tactile[finger].frames for finger in FINGERS},
         first.bench.force_torque.samples,
         first.arm.poses,
+        SampleStream("arm_command", 3, 10),
     )
     again = SimulatedBench(scene, streams=shared)
     assert streams.newest() is None

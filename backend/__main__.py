@@ -31,6 +31,7 @@ VERBS = {
     "evaluate": "measure a contact-patch model",
     "experiment": "measure the paper's three tables on the simulated bench",
     "track": "track the gel's markers in an image, video or folder",
+    "emulate": "emulate a device over its real wire: arm, gripper, wrist sensor, camera",
     "settings": "show the settings of the method, or write them to a file",
     "doctor": "check this computer, each finding with its fix",
 }

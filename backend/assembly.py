@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -37,7 +38,7 @@ from backend.session import Keep, Session
 from backend.simulation.disturbances import parse_script
 from backend.simulation.holding import start_command_mm
 from backend.simulation.scene import Scene
-from backend.simulation.scoring import margin_mm
+from backend.simulation.scoring import Truth, margin_mm
 
 TOWER_LEAN_MM = 2.0
 """Each further bottom of a tower stands off the one below by up to this, in a drawn direction."""
@@ -76,11 +77,22 @@ class SimulatedBenchChoice:
         return SimulationSettings.model_validate({"preset": name})
 
 
+class KnownTruth(Protocol):
+    """A scene of which the truth is known."""
+
+    @property
+    def scene(self) -> Scene:
+        """What was set up."""
+
+    def truth(self, *, animate: bool = False) -> Truth:
+        """Return how things really are."""
+
+
 @dataclass
 class SimulatedScoring:
     """The truth of one scene, handed to scoring and display, never to the method."""
 
-    bench: SimulatedBench
+    bench: KnownTruth
     longest_step_mm: float
     animate: bool
 
@@ -214,7 +226,8 @@ def _collecting(
     piece: Piece, tower: Tower, choice: SceneChoice, settings: SimulationSettings
 ) -> Scene:
     """Return a scene with the piece in its jig: a jig grasps better than a hand."""
-    spread = settings.spread.model_copy(update={"grasp_offset_mm": settings.spread.jig_mm})
+    grasp_mm = settings.spread.grasp_offset_mm if choice.handed else settings.spread.jig_mm
+    spread = settings.spread.model_copy(update={"grasp_offset_mm": grasp_mm})
     return Scene(
         piece=piece,
         bottoms=tower,
@@ -266,7 +279,8 @@ def simulated_session(
 
     def make_stage(choice: SceneChoice, raw: RawStreams) -> Stage:
         scene = make_scene(catalogue, choice, settings)
-        bench = SimulatedBench(scene, script, BenchStreams(raw.frames, raw.samples, raw.poses))
+        streams = BenchStreams(raw.frames, raw.samples, raw.poses, raw.commands)
+        bench = SimulatedBench(scene, script, streams)
         return Stage(
             clock=bench.clock,
             devices=bench.devices,

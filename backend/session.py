@@ -24,6 +24,7 @@ from backend.core.facts import Decision, FaultsReset
 from backend.core.faults import RefusedError
 from backend.core.flow import FINGERS, Finger, MarkerField, TactileFrame
 from backend.core.hub import Hub
+from backend.core.hush import Hush
 from backend.core.stream import SampleStream, Stream
 from backend.devices.guarded import GuardedArm, GuardedGripper
 from backend.devices.interlock import Interlock
@@ -93,6 +94,8 @@ class Session:
         self._settings, self.facts = settings, facts
         self.simulated = simulated = facts.mode == "simulated"
         self.hub, self.interlock, self.gate = Hub(), Interlock(), Gate()
+        self.hush = Hush()
+        """Whoever shares this interpreter draws nothing while it is on."""
         self.decisions = Decisions()
         self.dataset: Dataset | None = None
         """Takes what is collected; set while no run goes on."""
@@ -105,7 +108,8 @@ class Session:
         samples = SampleStream("force_torque", 6, SAMPLE_CAPACITY)
         poses = SampleStream("arm", 3, SAMPLE_CAPACITY)
         self.wrench = SampleStream("wrench", 6, SAMPLE_CAPACITY)
-        self._raw = RawStreams(self.frames, samples, poses)
+        commands = SampleStream("arm_command", 3, SAMPLE_CAPACITY)
+        self._raw = RawStreams(self.frames, samples, poses, commands)
         self._supervision = Supervision(self.interlock, self.wrench, self.frames)
         self.engine = Engine(self.hub, self.interlock, self.clock_s)
         mode = "live simulation" if simulated else "lab"
@@ -304,9 +308,11 @@ class Session:
             wall_s=time.perf_counter,
             probe_count=lambda: self.engine.status().probe,
             felt_count=lambda: self.engine.status().felt,
+            hush=self.hush,
             outline=stage.outline,
             jig=stage.jig,
             scene_view=stage.scene_view,
+            wrench_late_s=stage.wrench_late_s,
         )
 
     def _set_scene(self, choice: SceneChoice) -> _Scene:
@@ -315,7 +321,8 @@ class Session:
         for finger in FINGERS:
             self.frames[finger].clear()
             self.fields[finger].clear()
-        for samples in (self._raw.samples, self._raw.poses, self.wrench):
+        raw = self._raw
+        for samples in (raw.samples, raw.poses, raw.commands, self.wrench):
             samples.clear()
         stage = self._make_stage(choice, self._raw)
         sensing = LiveSensing(self._raw, self.fields, self.wrench, stage.payload)

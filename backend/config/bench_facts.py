@@ -37,6 +37,11 @@ def simulated_facts(settings: SimulationSettings) -> BenchFacts:
     )
 
 
+def bench_sha256(settings: SimulationSettings) -> str:
+    """Return the SHA-256 of all values, noise and spreads too: it names a bench in every result."""
+    return digest(settings.model_dump(mode="json"))
+
+
 def wrist_frame(height_mm: float, yaw_rad: float) -> str:
     """Name the frame of a wrench that is moved to the grasp pivot."""
     turned = f", turned {yaw_rad:g} rad" if yaw_rad else ""

@@ -18,6 +18,7 @@ U16 = Annotated[int, Field(ge=0, le=0xFFFF)]
 Count = Annotated[int, Field(ge=1)]
 Six = tuple[Positive, Positive, Positive, Positive, Positive, Positive]
 Row = tuple[float, float, float]
+ProgramName = Annotated[str, Field(pattern="^[A-Za-z0-9_]{1,12}$")]
 
 PLACEHOLDERS = ("melfa.mxt.error_overspeed", "melfa.mxt.error_timeout", "melfa.r3.error_unknown")
 """Settings whose default is made up: shown as such until the lab has put in its own number."""
@@ -45,6 +46,11 @@ class MxtSettings(Settings):
     """Real-time external control."""
 
     position_type: Literal[0, 1, 2] = 1
+    port: Port = 10000
+    program: ProgramName = "TDMXT"
+    """Program of the controller that opens the stream."""
+    allow_unlimited: bool = False
+    """Stream even where the controller never ends a silent stream."""
     send_type_must_match: bool = True
     ends_on_servo_off: bool = True
     mxttout: Annotated[int, Field(ge=-1)] = -1
@@ -58,6 +64,9 @@ class MxtSettings(Settings):
 class R3Settings(Settings):
     """Command channel."""
 
+    port: Port = 10001
+    stop_port: Port = 10002
+    """Of a second connection that carries STOP only."""
     error_unknown: U16 = 9903
     reply_terminator: Literal["same", "none", "cr", "crlf"] = "same"
     reply_gap_ms: Positive = 30.0
@@ -82,6 +91,22 @@ class ForceSensorSettings(Settings):
 class MelfaSettings(Settings):
     """Arm and controller."""
 
+    host: str = "192.168.0.20"
+    robot_type: str = "RV-5AS-D"
+    """What the controller calls its arm, from the start; empty: any."""
+    origin_mm: Row = (450.0, 0.0, 0.0)
+    """Bench origin in the base of the arm."""
+    yaw_deg: float = 0.0
+    """Turn of the bench in the base of the arm."""
+    hand_deg: float = 180.0
+    """Turn of the flange's x against that of the bench."""
+    tool_mm: Positive = 200.0
+    """From the flange to the grasp pivot."""
+    realtime_priority: Annotated[int, Field(ge=0, le=98)] = 50
+    """SCHED_FIFO priority of the stream where the system allows it; 0: none."""
+    arm_lag_ms: NonNegative = 10.0
+    sensor_lag_ms: NonNegative = 16.0
+    """Age of a wrench sample when it comes: adapter, line, filter."""
     euler: Literal["Rz(C) Ry(B) Rx(A)", "Rx(A) Ry(B) Rz(C)"] = "Rz(C) Ry(B) Rx(A)"
     flags: tuple[Count, Count, Count] = (4, 2, 1)
     """Bits of Right, Above, NonFlip in the first structure flag."""
@@ -121,12 +146,20 @@ class MelfaSettings(Settings):
 class WsgSettings(Settings):
     """Gripper; the ranges count only if the gripper does not tell its own."""
 
+    driver: Annotated[str, Field(min_length=1)] = "wsg"
+    """wsg, or one that an entry point adds."""
     protocol: Literal["binary", "gcl"] = "binary"
+    host: str = "192.168.1.20"
+    port: Port = 1000
     stroke_mm: Positive = 66.0
     speed_min: Positive = 5.0
     speed_max: Positive = 400.0
     force_min_n: Positive = 5.0
     force_max_n: Positive = 50.0
+    acceleration_mm_s2: Positive = 500.0
+    grasp_width_mm: NonNegative = 0.0
+    """Nominal width of a grasp: 0 closes until something is met."""
+    grasp_speed_mm_s: Positive = 50.0
     force_convention: Literal["device", "finger"] = "device"
     """What the gripper takes: "device" the sum over both fingers, "finger" each."""
     bad_crc_reply: Literal["CHECKSUM_ERROR", "none"] = "CHECKSUM_ERROR"
@@ -141,11 +174,21 @@ class WsgSettings(Settings):
 class ForceTorqueSettings(Settings):
     """Which wrist sensor, and how it sits."""
 
-    driver: Literal["melfa", "dynpick", "leptrino", "ft300", "bota", "optoforce", "netft"] = "melfa"
+    driver: Annotated[str, Field(min_length=1)] = "melfa"
+    """melfa, dynpick, leptrino, ft300, bota, optoforce, netft, or one that an entry point adds."""
+    address: str = ""
+    """Path of a serial port, ``socket://host:port`` or ``udp://host:port``."""
     rotation: tuple[Row, Row, Row] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     """Sensor to tool."""
     sign: Literal[1, -1] = 1
     """1: force on the sensor, -1: force by the sensor."""
+    rate_hz: Positive | None = None
+    """Where the sensor numbers nothing and its rate is not the usual one."""
+    latency_ms: NonNegative = 0.0
+    """Age of the newest sample when it comes: by so much its stamp lies before its arrival."""
+    silence_s: Positive = 0.2
+    stuck_after: Annotated[int, Field(ge=2)] = 5
+    """Samples equal to the last digit, after which they are no measurement."""
 
     @field_validator("rotation")
     @classmethod
@@ -193,6 +236,9 @@ class BotaSettings(Settings):
     """Bota SensONE."""
 
     quiet_in_config: bool = True
+    sinc: Annotated[int, Field(ge=51, le=512)] = 51
+    """Length of the filter: period of the samples in steps of 19.53125 us."""
+    rated: Six = (500.0, 500.0, 1200.0, 15.0, 15.0, 12.0)
 
 
 class NetftSettings(Settings):
@@ -200,12 +246,41 @@ class NetftSettings(Settings):
 
     onrobot: bool = False
     """10 000 counts per N and 100 000 per N·m, and the two commands below."""
+    http_port: Port = 80
+    tcp_port: Port = 49151
+    counts: tuple[Positive, Positive] | None = None
+    """Counts per N and per N·m of a box that tells them neither by page nor by TCP."""
+    rated: Six = (130.0, 130.0, 400.0, 10.0, 10.0, 10.0)
     onrobot_commands: tuple[U16, U16] = (0x82, 0x83)
     """Filter and speed."""
 
 
+class FingerCameraSettings(Settings):
+    """The camera of one finger."""
+
+    serial: str = ""
+    """As printed on the sensor, such as 2D8Y-69GR."""
+    file: str = ""
+    """A video or pipe in place of a camera."""
+    mirror: Literal["none", "x", "y", "both"] = "none"
+    crop_fraction: Annotated[float, Field(ge=0, lt=0.5)] | None = None
+    """Where it differs from that of both."""
+
+
 class GelsightSettings(Settings):
     """GelSight Mini."""
+
+    left: FingerCameraSettings = FingerCameraSettings()
+    right: FingerCameraSettings = FingerCameraSettings()
+    by_id: str = "/dev/v4l/by-id"
+    names: str = "/sys/class/video4linux"
+    nodes: str = "/dev"
+    width_px: Count = 3280
+    height_px: Count = 2464
+    exposure: Positive = 180.0
+    white_balance: Positive = 4500.0
+    darkest_mean: NonNegative = 16.0
+    silence_s: Positive = 2.0
 
     crop_fraction: Annotated[float, Field(ge=0, lt=0.5)] = 0.15
     mm_per_px_x: Positive = 0.0581

@@ -134,6 +134,8 @@ class TrainingSettings(Settings):
     keep: Literal["best", "last"] = "best"
     """Which epoch's weights [U]: of the lowest validation loss, or the last ones."""
     batch: Annotated[int, Field(ge=1)] = 64
+    precision: Literal["float32", "bfloat16"] = "float32"
+    """Of the products in a training step; weights, loss and validation stay float32 [U]."""
     validation_share: Probability = 0.1
     seed: Annotated[int, Field(ge=0)] = 0
 
@@ -159,6 +161,8 @@ class CollectSettings(Settings):
     """Standard uncertainty of the arm's position [U]."""
     grip_sigma_mm: Positive = 0.1
     """Standard uncertainty of the piece in the grasp when it comes from a jig [U]."""
+    handed_sigma_mm: Positive = 0.5
+    """The same where the operator hands the piece over [U]."""
     origin_sigma_mm: Positive = 0.1
     """Standard uncertainty of the bottom's place before a check [U]."""
 

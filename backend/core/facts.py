@@ -208,6 +208,18 @@ class DecisionAwaited(Fact):
 
 
 @dataclass(frozen=True, slots=True)
+class HandOverAwaited(Fact):
+    """The campaign waits for the operator's hand at the jaws; nothing moves until they confirm.
+
+    ``gives``: they hold ``piece`` between the open jaws, which then close; else they take hold of
+    it, and the jaws open.
+    """
+
+    piece: str
+    gives: bool
+
+
+@dataclass(frozen=True, slots=True)
 class ProbeCollected(Fact):
     """A probe of a campaign is durable in the dataset, together with its label.
 

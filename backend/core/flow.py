@@ -110,7 +110,8 @@ class Recording:
     ``wrench_t_s`` (n,), ``wrench`` (n, 6) in N and N·m, tared; ``fields`` and ``frames`` of both
     fingers in order of time; ``pose_t_s`` (m,), ``pose_mm`` (m, 3) of ``G``, measured;
     ``tare`` (6,) was subtracted. ``scene``: pictures of the scene camera, where there is one: while
-    pressed, then after lifting.
+    pressed, then after lifting. ``command_t_s`` (k,), ``command_mm`` (k, 3): where ``G`` was told
+    to be, each from its instant on; empty where the arm does not say.
     """
 
     wrench_t_s: FloatArray
@@ -121,9 +122,14 @@ class Recording:
     pose_mm: FloatArray
     tare: FloatArray
     scene: tuple[ScenePicture, ...] = ()
+    command_t_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    command_mm: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:
-        for array in (self.wrench_t_s, self.wrench, self.pose_t_s, self.pose_mm, self.tare):
+        for array in (
+            self.wrench_t_s, self.wrench, self.pose_t_s, self.pose_mm, self.tare,
+            self.command_t_s, self.command_mm,
+        ):  # fmt: skip
             read_only(array)
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from backend.config.method import StackSettings
 from backend.core.faults import InputError
 from backend.core.flow import ContactPatch, Episode, Fall, ImageArray, Pose
+from backend.core.hush import Hush
 from backend.devices.guarded import GuardedArm, GuardedGripper
 from backend.devices.interlock import Interlock
 from backend.objects.catalogue import Piece
@@ -101,8 +102,10 @@ class Bench:
     """One trial's bench. ``now_s`` is its clock; ``scoring`` is None where truth is unknown.
 
     ``wall_s`` measures decision latency only; ``probe_count`` says how far the trial has come,
-    ``felt_count`` how many of its probes gave an estimate;
-    ``outline`` of the surface that is touched; ``jig``: pose of ``G`` with the piece in its jig.
+    ``felt_count`` how many of its probes gave an estimate; ``hush`` keeps decisions undisturbed;
+    ``outline`` of the surface that is touched; ``jig``: pose of ``G`` with the piece in its jig, or
+    where the piece is ``handed`` over by the operator. ``wrench_late_s``: age of a wrench sample
+    when it comes.
     """
 
     now_s: Callable[[], float]
@@ -120,6 +123,9 @@ class Bench:
     wall_s: Callable[[], float]
     probe_count: Callable[[], int]
     felt_count: Callable[[], int]
+    hush: Hush
     outline: Outline
     jig: Pose | None
     scene_view: SceneView | None = None
+    handed: bool = False
+    wrench_late_s: float = 0.0

@@ -14,7 +14,7 @@ from backend.core.faults import InputError, RefusedError
 from backend.runs.bench import Bench
 from backend.runs.campaign import Campaign, new_campaign, read_campaign
 from backend.runs.collect_plan import Target, planned_mm
-from backend.runs.collect_report import coverage_of
+from backend.runs.collect_report import pair_coverage
 from backend.runs.collected import EpisodeRecorder, Origin
 from backend.runs.collecting import Collector
 from backend.runs.host import RunHost
@@ -61,10 +61,11 @@ def _mountings(
         bench = host.set_scene(request.scene(campaign.mountings), host.method)
         target = Target(bench.piece.face, bench.outline, request.within_mm)
         if collector is None:
-            seen = coverage_of(recorder.dataset, entries, target.face, target.bottom)
+            seen = pair_coverage(recorder.dataset, campaign, target)
             planned_mm(campaign.pattern, target, campaign.seed, 0, campaign.count, seen)
             collector = Collector(campaign, recorder, host.decisions, seen, entries)
             collector.ask, collector.check_origin = request.ask, request.check_origin
+            collector.hand_over = request.hand_over
         campaign = collector.campaign = collector.campaign.with_mounting()
         campaign.save(recorder.dataset.folder)
         origin = _origin(bench, request)

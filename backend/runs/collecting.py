@@ -33,9 +33,9 @@ from backend.runs.collected import (
     measured,
 )
 from backend.runs.gate import Decisions
-from backend.runs.jig import approach, pick, put_back
+from backend.runs.jig import approach, handed, pick, put_back
 from backend.runs.judged import Felt
-from backend.runs.motions import MOVE_S, lift
+from backend.runs.motions import MOVE_S, lift, rest
 from backend.runs.origin_check import check_origin
 from backend.runs.plan import Checkpoint, Plan, Waiting, motion_done
 from backend.runs.probe import press_once, scene_pictures
@@ -43,6 +43,8 @@ from backend.sensing.episode import EpisodeLimits
 
 OPERATOR_S = 24 * 3600.0
 SLIP_MM = EpisodeLimits().slip_mm
+FIRST_POSES_S = 0.1
+"""A scene that was just set has no pose of the arm yet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +72,7 @@ class Collector:
         self.seen = seen
         self.todo = deque(campaign.todo(entries))
         self.done = sum(e.quality.accepted and not e.deleted for e in entries)
-        self.ask = self.check_origin = False
+        self.ask = self.check_origin = self.hand_over = False
         self._rejected: Counter[int] = Counter()
         self._probes = 0
         self._taken: _Taken | None = None
@@ -80,6 +82,9 @@ class Collector:
         self, bench: Bench, target: Target, origin: Origin, context: EpisodeContext
     ) -> Plan[bool]:
         """Grip and probe until nothing is left to do, or the bottom is due to be fitted anew."""
+        if self.hand_over or bench.jig is None:
+            yield from rest(bench, FIRST_POSES_S)
+            bench = handed(bench)
         for grip in range(1, bench.settings.collect.grips_per_mounting + 1):
             if not self.todo:
                 break

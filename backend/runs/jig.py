@@ -1,30 +1,44 @@
-"""Take the piece from its jig, weigh it, and put it back."""
+"""Take the piece from its jig, weigh it, and put it back; without a jig, from hand to hand."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
-from backend.core.facts import PhaseEntered, Said
+from backend.core.facts import HandOverAwaited, PhaseEntered, Said
 from backend.core.faults import Fault, FaultError, RefusedError
 from backend.core.flow import Pose
 from backend.devices.putting_back import JigEvidence
 from backend.runs.bench import Bench
 from backend.runs.motions import MOVE_S, rest, take_piece
-from backend.runs.plan import Plan, motion_done
+from backend.runs.plan import CancelledError, Plan, Waiting, motion_done
 from backend.sensing.tare import STANDARD_GRAVITY_M_S2
 
 WEIGH_S = 0.5
 """Time over which the wrench is averaged; the mean of 500 samples errs by 5 mN."""
 SETTLE_S = 0.3
+OPERATOR_S = 24 * 3600.0
+
+
+def handed(bench: Bench) -> Bench:
+    """Return the bench with the piece handed over where the arm is now.
+
+    A hand holds a piece less well than a jig: labels are worth less.
+    """
+    collect = bench.settings.collect
+    collect = collect.model_copy(update={"grip_sigma_mm": collect.handed_sigma_mm})
+    settings = bench.settings.model_copy(update={"collect": collect})
+    return replace(bench, jig=bench.arm.pose(max_age_s=0.2), handed=True, settings=settings)
 
 
 def pick(bench: Bench) -> Plan[float]:
-    """Take the piece from the jig and raise it; returns its mass in g.
+    """Take the piece from the jig, or from the operator, and raise it; returns its mass in g.
 
     Raises ``RefusedError`` if something is held already, ``FaultError`` "WRONG-WEIGHT" if what is
-    held is not the piece (masses that are nominal are only told).
+    held is not the piece (masses that are nominal are only told), ``CancelledError`` if the
+    operator does not hand it over.
     """
     jig = _jig(bench)
     if bench.gripper.status().holding:
@@ -35,6 +49,8 @@ def pick(bench: Bench) -> Plan[float]:
     yield from rest(bench, SETTLE_S + WEIGH_S)
     empty_n = _vertical_n(bench)
     bench.sensing.forget_references()
+    if bench.handed:
+        yield from _hand_at_the_jaws(bench, gives=True)
     yield from take_piece(bench)
     yield from _go(bench, _above(bench, jig))
     yield from rest(bench, SETTLE_S + WEIGH_S)
@@ -44,7 +60,10 @@ def pick(bench: Bench) -> Plan[float]:
 
 
 def put_back(bench: Bench) -> Plan[None]:
-    """Carry the piece back and let it go in the jig; refused where it does not sit freely."""
+    """Carry the piece back and let it go in the jig, or in the operator's hand.
+
+    Refused where it does not sit freely in the jig.
+    """
     jig = _jig(bench)
     yield PhaseEntered(bench.now_s(), "shift", 0)
     here = bench.arm.pose(max_age_s=0.2)
@@ -55,9 +74,12 @@ def put_back(bench: Bench) -> Plan[None]:
     yield from rest(bench, SETTLE_S)
     yield PhaseEntered(bench.now_s(), "release", 0)
     width_mm = bench.gripper.status().width_mm + bench.settings.collect.open_mm
-    opening = bench.gripper.put_back(
-        _evidence(bench, jig), width_mm, bench.settings.release.open_mm_s
-    )
+    speed_mm_s = bench.settings.release.open_mm_s
+    if bench.handed:
+        yield from _hand_at_the_jaws(bench, gives=False)
+        opening = bench.gripper.open_by_hand(width_mm, speed_mm_s, confirmed=True)
+    else:
+        opening = bench.gripper.put_back(_evidence(bench, jig), width_mm, speed_mm_s)
     yield from motion_done(opening, MOVE_S, "the gripper to open")
     yield from rest(bench, SETTLE_S)
 
@@ -69,6 +91,15 @@ def approach(bench: Bench, place: Pose) -> Plan[None]:
     yield from _go(bench, Pose(here.x_mm, here.y_mm, max(here.z_mm, high_mm)))
     yield from _go(bench, Pose(place.x_mm, place.y_mm, high_mm))
     yield from _go(bench, place)
+
+
+def _hand_at_the_jaws(bench: Bench, *, gives: bool) -> Plan[None]:
+    """Wait until the operator's hand is where it should be; raises ``CancelledError`` on a no."""
+    bench.gate.ask()
+    yield HandOverAwaited(bench.now_s(), bench.piece.name, gives)
+    yield Waiting(lambda: bench.gate.answered, OPERATOR_S, "the operator's hand")
+    if not bench.gate.yes:
+        raise CancelledError("the piece was not handed over")
 
 
 def _weighed(bench: Bench, weight_n: float) -> Plan[None]:

@@ -11,7 +11,7 @@ from typing import IO
 
 from backend.core.facts import Fact
 from backend.core.faults import InputError
-from backend.core.files import sync_folder
+from backend.core.files import make_folder, sync_folder
 from backend.runs.fact_codec import FORMAT, decode, encode
 
 NAME = "journal.jsonl"
@@ -22,7 +22,8 @@ class Journal:
     """Subscribes to a hub and appends every fact to ``folder/journal.jsonl``."""
 
     def __init__(self, folder: Path) -> None:
-        folder.mkdir(parents=True, exist_ok=False)
+        make_folder(folder.parent)
+        folder.mkdir(exist_ok=False)
         self.folder = folder
         self._file: IO[bytes] = (folder / NAME).open("xb")
         self._append({"format": FORMAT, "program": "touchdown"})

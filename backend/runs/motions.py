@@ -22,7 +22,9 @@ REFERENCE_S = 5.0
 GRIP_S = 5.0
 MOVE_S = 30.0
 WRENCH_AGE_LIMIT_S = 0.015
-"""At release the wrench is at most 1.5 control cycles of 10 ms old (rulings 10)."""
+"""At release the wrench is at most 1.5 control cycles of 10 ms older than the sensor makes it."""
+FRESH_S = 0.5
+"""So long a younger wrench is waited for."""
 
 
 def rest(bench: Bench, seconds: float) -> Plan[None]:
@@ -103,6 +105,7 @@ def release(bench: Bench, judged: Judged, *, approved: bool) -> Plan[None]:
     yield from motion_done(unload, MOVE_S, "the arm to unload")
     yield from rest(bench, settings.settle_s)
     yield PhaseEntered(bench.now_s(), "release", probe)
+    yield from fresh_wrench(bench)
     evidence = release_evidence(bench, judged, width_mm, approved=approved)
     yield from open_and_rise(bench, probe, evidence, width_mm)
 
@@ -121,6 +124,23 @@ def open_and_rise(
     up = Pose(here.x_mm, here.y_mm, here.z_mm + settings.rise_mm)
     motion = bench.arm.move_to(up, bench.settings.probe.travel_mm_s)
     yield from motion_done(motion, MOVE_S, "the arm to rise")
+
+
+def fresh_wrench(bench: Bench) -> Plan[None]:
+    """Wait for the next sample where the newest is too old, ``FRESH_S`` at most."""
+    until_s = bench.now_s() + FRESH_S
+    if not _wrench_is_fresh(bench):
+        yield Waiting(
+            lambda: _wrench_is_fresh(bench) or bench.now_s() >= until_s,
+            2.0 * FRESH_S,
+            "a fresh wrench",
+        )
+
+
+def _wrench_is_fresh(bench: Bench) -> bool:
+    now_s = bench.now_s()
+    limit_s = bench.wrench_late_s + WRENCH_AGE_LIMIT_S
+    return len(bench.sensing.wrench.window(now_s - limit_s, now_s).t_s) > 0
 
 
 def release_evidence(
@@ -147,7 +167,7 @@ def release_evidence(
         slip_mm=slip_mm,
         press_n=press_n,
         wrench_age_s=now_s - float(window.t_s[-1]) if sampled else math.nan,
-        wrench_age_limit_s=WRENCH_AGE_LIMIT_S,
+        wrench_age_limit_s=bench.wrench_late_s + WRENCH_AGE_LIMIT_S,
         moved_mm=float(np.ptp(poses, axis=0).max()) if len(poses) else math.nan,
         width_change_mm=status.width_mm - width_mm,
         holding=status.holding,

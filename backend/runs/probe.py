@@ -25,6 +25,9 @@ AFTER_LAST_TICK_S = 0.08
 EARLY_S = 0.06
 """This long before the end the estimator gets all ticks but the last: the frame after the last but
 one is then as late as the end waits for."""
+HUSH_S = 0.02
+"""Who is drawing has this long to end it before the decision is due."""
+LONGEST_HUSH_S = 0.08
 
 
 def press_command(bench: Bench) -> PressCommand:
@@ -41,10 +44,13 @@ def press_command(bench: Bench) -> PressCommand:
     )
 
 
-def press_once(bench: Bench, probe: int, offset_mm: FloatArray | None = None) -> Plan[Felt]:
+def press_once(
+    bench: Bench, probe: int, offset_mm: FloatArray | None = None, *, decides: bool = False
+) -> Plan[Felt]:
     """Press and stay pressed; return what was felt, accepted or not.
 
     ``offset_mm`` (2,): commanded displacement (None: where the arm is, in its own frame).
+    ``decides``: a decision follows at once, which nothing should disturb.
     """
     yield from zero_sensors(bench, probe)
     yield PhaseEntered(bench.now_s(), "approach", probe)
@@ -73,6 +79,9 @@ def press_once(bench: Bench, probe: int, offset_mm: FloatArray | None = None) ->
     yield Waiting(lambda: bench.now_s() >= end_s - EARLY_S, 5.0, "the last ticks")
     so_far = bench.sensing.recording(onset_s - BEFORE_ONSET_S, bench.now_s())
     bench.estimator.prepare(synchronise(so_far, onset_s).observation()[:EARLY_TICKS])
+    yield Waiting(lambda: bench.now_s() >= end_s - HUSH_S, 5.0, "the last frames")
+    if decides:
+        bench.hush.begin(LONGEST_HUSH_S)
     yield Waiting(lambda: bench.now_s() >= end_s, 5.0, "the last frames")
     sampled_s = bench.wall_s()
     episode = assemble(
@@ -93,8 +102,11 @@ def scene_pictures(bench: Bench) -> tuple[ScenePicture, ...]:
 
 
 def _calibration(bench: Bench) -> tuple[tuple[str, str], ...]:
+    """Return what the episode was measured against: scene camera, tactile references by hash."""
     view = bench.scene_view
-    return () if view is None else (("scene_homography", view.homography.text()),)
+    board = () if view is None else (("scene_homography", view.homography.text()),)
+    references = bench.sensing.references.items()
+    return (*board, *((f"reference_{finger}", taken.sha256) for finger, taken in references))
 
 
 def probe_until_accepted(bench: Bench, probe: int, tries: int = 2) -> Plan[Felt]:
@@ -103,9 +115,10 @@ def probe_until_accepted(bench: Bench, probe: int, tries: int = 2) -> Plan[Felt]
     Rejected episodes are kept in the store as well, with their reasons.
     """
     for attempt in range(tries):
-        felt = yield from press_once(bench, probe)
+        felt = yield from press_once(bench, probe, decides=True)
         if felt.episode.quality.accepted:
             return felt
+        bench.hush.end()
         reasons = "; ".join(felt.episode.quality.reasons)
         yield Said(bench.now_s(), words.rejected(probe, felt.episode.quality.reasons))
         bench.store.keep(felt.episode)

@@ -20,7 +20,7 @@ class SceneChoice:
     ``model`` is a checkpoint file, None for the one in use; without ``estimates`` none is loaded.
     ``alone``: nobody is asked before a move, so the model has to fit the bench.
     With ``jig`` the piece is taken from its jig beside the bottom; ``mounting`` counts the fittings
-    of bottom and gels.
+    of bottom and gels. ``handed``: from a hand at that place, which holds it less well.
     """
 
     piece: str = "pot"
@@ -31,6 +31,7 @@ class SceneChoice:
     alone: bool = False
     jig: bool = False
     mounting: int = 0
+    handed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +82,8 @@ class CollectRequest:
     is for the arm, with its standard uncertainty (None: that of the settings). ``campaign`` goes on
     with a former one, whose plan then holds instead. With ``ask`` the run waits for a decision
     after every probe. ``check_origin``: probe at known displacements after every mounting.
-    ``probes_per_grip``: at most so many (None: as the settings say).
+    ``probes_per_grip``: at most so many (None: as the settings say). ``hand_over``: the operator
+    hands the piece to the gripper where it is, as on every bench without a taught jig.
     """
 
     piece: str = "pot"
@@ -97,6 +99,7 @@ class CollectRequest:
     campaign: str = ""
     ask: bool = False
     probes_per_grip: int | None = None
+    hand_over: bool = False
 
     def method(self, base: StackSettings) -> StackSettings:
         """Return the settings of this run, laid over those of the bench."""
@@ -108,8 +111,9 @@ class CollectRequest:
     def scene(self, mounting: int = 0) -> SceneChoice:
         """Return the scene of a mounting: the piece in its jig, no model."""
         return SceneChoice(
-            self.piece, (self.bottom,), self.seed, estimates=False, jig=True, mounting=mounting
-        )
+            self.piece, (self.bottom,), self.seed, estimates=False, jig=True, mounting=mounting,
+            handed=self.hand_over,
+        )  # fmt: skip
 
 
 Request = StackRequest | ProbeRequest | CollectRequest | SetRequest

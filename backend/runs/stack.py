@@ -78,6 +78,7 @@ def _conclude(bench: Bench, felt: Felt, belief: Belief) -> Plan[tuple[Belief, Ju
     stability = judge(belief, patch, bench.piece.com_xy_mm, here, settings.stability)
     action = choose(stability, belief, here, settings.policy, settings.stability)
     latency_ms = 1e3 * (bench.wall_s() - felt.sampled_s)
+    bench.hush.end()
     now_s = bench.now_s()
     yield PatchEstimated(now_s, patch, here, felt.probe)
     yield BeliefUpdated(now_s, belief.map, felt.probe)

@@ -20,6 +20,7 @@ class Stage:
     ``devices`` names all five for the chips; ``scoring`` is None where the truth is unknown;
     ``payload`` (6,) is the calibrated weight below the sensor, N and N·m. ``jig``: taught pose of
     ``G`` with the piece in its jig, None where there is no jig. ``outline`` of the touched face.
+    ``wrench_late_s``: age of a wrench sample when it comes.
     """
 
     clock: Clock
@@ -35,3 +36,4 @@ class Stage:
     outline: Outline
     jig: Pose | None = None
     scene_view: SceneView | None = None
+    wrench_late_s: float = 0.0

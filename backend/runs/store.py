@@ -8,6 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from backend.core.faults import Fault, FaultError
+from backend.core.files import make_folder
 from backend.core.flow import Episode
 from backend.dataset.episode_file import write_episode
 
@@ -75,7 +76,7 @@ class RunStore:
             self._writer.shutdown(wait=True)
 
     def _write(self, folder: Path, episode: Episode) -> Path:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         path = folder / f"{episode.episode_id}.mcap"
         write_episode(path, episode, label=None, metadata=self._metadata)
         return path

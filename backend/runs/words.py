@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from backend.core.facts import HandOverAwaited
 from backend.core.flow import ContactPatch, PlaceAction, Stability, SupportKind
 
 CONTRADICTED = "The physics engine contradicts the static judge here; the static judge decides."
@@ -54,6 +55,13 @@ def origin(x_mm: float, y_mm: float, sigma_mm: float, agrees: bool) -> str:
 def regrip(why: str) -> str:
     """Say why the piece goes back into its jig before its time."""
     return f"The piece is gripped anew: {why}."
+
+
+def hand_over(awaited: HandOverAwaited) -> str:
+    """Say what the operator's hand has to do before the jaws move."""
+    if awaited.gives:
+        return f"Hold the {awaited.piece} between the jaws: they close on it."
+    return f"Take hold of the {awaited.piece}: the jaws open."
 
 
 def rejected(probe: int, reasons: tuple[str, ...]) -> str:

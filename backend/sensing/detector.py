@@ -72,7 +72,6 @@ class Detector:
         self._bright, self._mean = np.empty(full, np.float32), np.empty(full, np.float32)
         self._half, self._quarter = np.empty(half, np.uint8), np.empty(quarter, np.uint8)
         self._half_depth = np.empty(half, np.float32)
-        self.brightness = 0.0
 
     def look(self, image: ImageArray) -> None:
         """Take up ``image`` (240, 320, 3) uint8, BGR."""
@@ -81,7 +80,6 @@ class Detector:
         _shrink(self._brightest, self._half)
         _shrink(self._half, self._quarter)
         mean = _background(self._quarter.astype(np.float32))
-        self.brightness = float(mean.mean())
         cv2.resize(np.maximum(mean, _DARKEST_MEAN), (WIDTH_PX, HEIGHT_PX), self._mean)
         np.copyto(self._bright, self._brightest)
         np.divide(self._bright, self._mean, out=self.depth)

@@ -7,7 +7,7 @@ a thread of its own. It holds the tare and the tactile references of the probe i
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -28,11 +28,15 @@ from backend.sensing.tare import Tare, take_tare
 
 @dataclass(frozen=True, slots=True)
 class RawStreams:
-    """What the devices deliver: frames per finger, untared wrench samples, arm positions."""
+    """What the devices deliver: frames per finger, untared wrench samples, arm positions.
+
+    ``commands``: positions that the arm was told; stays empty where it does not say.
+    """
 
     frames: Mapping[Finger, Stream[TactileFrame]]
     samples: SampleStream
     poses: SampleStream
+    commands: SampleStream = field(default_factory=lambda: SampleStream("arm_command", 3, 1))
 
 
 class LiveSensing:
@@ -98,6 +102,12 @@ class LiveSensing:
             self._trackers[finger].set_reference(reference)
         return taken
 
+    @property
+    def references(self) -> Mapping[Finger, Reference]:
+        """The references in use, of the fingers that have one."""
+        found = {finger: tracker.reference for finger, tracker in self._trackers.items()}
+        return {finger: reference for finger, reference in found.items() if reference is not None}
+
     def forget_references(self) -> None:
         """Forget the shape in air: the piece is gripped anew."""
         self._in_air = {}
@@ -106,6 +116,7 @@ class LiveSensing:
         """Return the native-rate signals between two bench times."""
         wrench = self.wrench.window(start_s, end_s)
         poses = self.raw.poses.window(start_s, end_s)
+        commands = self.raw.commands.window(start_s, end_s)
         fields = [f for finger in FINGERS for f in self.fields[finger].between(start_s, end_s)]
         frames = [f for finger in FINGERS for f in self.raw.frames[finger].between(start_s, end_s)]
         return Recording(
@@ -116,6 +127,8 @@ class LiveSensing:
             pose_t_s=poses.t_s,
             pose_mm=poses.values,
             tare=self._tare.total,
+            command_t_s=commands.t_s,
+            command_mm=commands.values,
         )
 
     def press_n(self, now_s: float, max_age_s: float) -> float:

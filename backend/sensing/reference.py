@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 
 import numpy as np
 
@@ -36,6 +37,11 @@ class Reference:
     def __post_init__(self) -> None:
         read_only(self.position_px)
         read_only(self.noise_px)
+
+    @property
+    def sha256(self) -> str:
+        """Name of the rest positions: equal ones have the same."""
+        return sha256(np.ascontiguousarray(self.position_px, dtype="<f8").tobytes()).hexdigest()
 
 
 def take_reference(fields: Sequence[MarkerField], template: Reference | None = None) -> Reference:

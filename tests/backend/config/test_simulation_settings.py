@@ -17,9 +17,11 @@ def test_shipped_default_spells_out_the_defaults() -> None:
     assert load_simulation(BENCHES / "sim.toml") == SimulationSettings()
 
 
-@pytest.mark.parametrize("name", ["quiet", "hard"])
-def test_shipped_file_is_its_preset(name) -> None:
-    assert load_simulation(BENCHES / f"sim-{name}.toml") == load_simulation(preset=name)
+@pytest.mark.parametrize(
+    ("name", "file"), [("quiet", "sim-quiet"), ("hard", "sim-hard"), ("bench-v1", "bench-v1")]
+)
+def test_shipped_file_is_its_preset(name, file) -> None:
+    assert load_simulation(BENCHES / f"{file}.toml") == load_simulation(preset=name)
 
 
 @pytest.mark.parametrize("name", sorted(PRESETS))

@@ -131,7 +131,9 @@ def test_a_killed_worker_loses_no_finished_job(tmp_path: Path) -> None:
     assert {result.state for result in results.values()} == {"done"}
     assert store.result(mortal.id)["deaths"] == 1
     assert len(numbers(store, draws(3))) == 3
-    assert store.sweep() == 1
+    # The pool ends the other worker too when one dies: it may leave a half-written job as well.
+    assert store.sweep() in (1, 2)
+    assert store.sweep() == 0
 
 
 def test_a_job_that_always_kills_its_worker_is_given_up(tmp_path: Path) -> None:

@@ -118,6 +118,33 @@ def test_the_label_is_measured_and_the_command_is_kept_apart(whole) -> None:
         assert len(episode.recording.frames) > 90
 
 
+def test_where_the_arm_was_told_to_be_is_recorded_beside_where_it_was(whole) -> None:
+    episode = whole.dataset.read(whole.entries[0].uuid)
+    recording = episode.recording
+    told_mm = [np.interp(recording.pose_t_s, recording.command_t_s, recording.command_mm[:, axis])
+               for axis in range(3)]  # fmt: skip
+    off_mm = recording.pose_mm - np.stack(told_mm, axis=1)
+    in_air = recording.pose_t_s < episode.onset_s - 0.1
+    assert np.abs(off_mm[in_air, :2]).max() < 0.02
+    # The compliant arm (15 N/mm) stays above its command by as much as it presses.
+    force_n = float(recording.wrench[-50:, 2].mean())
+    assert force_n > 3.0
+    assert 15.0 * off_mm[-5:, 2].mean() == pytest.approx(force_n, rel=0.25)
+
+
+def test_an_episode_names_what_its_displacements_count_from(whole) -> None:
+    first, second = (whole.dataset.read(entry.uuid) for entry in whole.entries[:2])
+    for finger in ("left", "right"):
+        named = [dict(e.metadata)[f"reference_{finger}"] for e in (first, second)]
+        assert len(set(named)) == 2
+        field = next(f for f in first.recording.fields if f.finger == finger)
+        rest = field.position_px - field.displacement_px
+        seen = field.state == 0
+        others = [f for f in second.recording.fields if f.finger == finger]
+        moved = others[0].position_px - others[0].displacement_px - rest
+        assert np.abs(moved[seen]).max() > 0.0
+
+
 def test_the_scene_camera_shows_contact_and_outcome(whole) -> None:
     entry = whole.entries[0]
     episode = whole.dataset.read(entry.uuid)

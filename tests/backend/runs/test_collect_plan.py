@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import kstest
 
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.values import Label
 from backend.core.faults import InputError
 from backend.dataset.coverage import coverage
+from backend.objects.catalogue import load_catalogue
 from backend.objects.shapes import circle, rectangle
 from backend.objects.surface import overlap_area_mm2
 from backend.runs.campaign import Campaign, new_campaign, newest_campaign, read_campaign
 from backend.runs.collect_plan import PATTERNS, Target, grid_mm, planned_mm
+from backend.runs.collect_report import pair_coverage
+from tests.backend.catalogue.conftest import context_for, small_episode
 
 TARGET = Target(circle(15.0), rectangle(12.0, 28.0))
 EMPTY = coverage(np.empty((0, 2)), TARGET.face, TARGET.bottom)
+
+
+@pytest.fixture
+def dataset(tmp_path):
+    with Dataset.open(tmp_path / "data", person="cleo") as opened:
+        yield opened
 
 
 def places(pattern, count, target=TARGET, seed=3):
@@ -93,3 +106,27 @@ def test_senseless_campaigns_are_refused(wrong) -> None:
 
 def test_a_campaign_is_hashable_as_a_value() -> None:
     assert Campaign("u", "a", "b", "grid", 1, 2) == Campaign("u", "a", "b", "grid", 1, 2)
+
+
+def test_holes_are_those_of_all_campaigns_that_somebody_stands_for(dataset: Dataset) -> None:
+    mine = new_campaign("pot", "circle15", "adaptive", 0, 5, None)
+    context = replace(context_for(dataset), campaign=mine.uuid)
+    others = replace(context, campaign="another")
+    rejected = small_episode(accepted=False)
+    made = [
+        dataset.record(episode, Label(4000 * k, 0, 0, 9), source="measured", context=where).uuid
+        for k, (episode, where) in enumerate(
+            [(small_episode(), context), (small_episode(), others), (small_episode(), others),
+             (small_episode(), others), (rejected, context)]
+        )
+    ]  # fmt: skip
+    for uuid in made[1:3]:
+        dataset.labels.accept("ann", uuid)
+    dataset.labels.approve("bea", made[1])
+    pieces = load_catalogue()
+    seen = pair_coverage(
+        dataset, mine, Target(pieces.piece("pot").face, pieces.piece("circle15").face)
+    )
+    # Mine as a draft, theirs approved and submitted; not their draft, nor what is no observation.
+    found = [seen.centre_mm(i, j) for i, j in zip(*np.nonzero(seen.counts), strict=True)]
+    assert sorted(found) == [(0.0, 0.0), (4.0, 0.0), (8.0, 0.0)]

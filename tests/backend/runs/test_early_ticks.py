@@ -3,8 +3,10 @@
 import pytest
 
 from backend.config.method import EARLY_TICKS
-from backend.core.facts import ActionChosen
-from tests.backend.runs.oracle_bench import OracleSession, request
+from backend.core.facts import ActionChosen, Fact
+from backend.core.flow import ContactPatch, Episode
+from backend.core.hush import Hush
+from tests.backend.runs.oracle_bench import Oracle, OracleSession, request
 
 
 @pytest.mark.parametrize("preset", ["quiet", "hard"])
@@ -20,3 +22,27 @@ def test_the_early_ticks_are_those_of_the_episode_bit_for_bit(preset: str) -> No
             decided += 1
         assert all(early.shape == (EARLY_TICKS, 258) for early in oracle.prepared)
     assert decided == len(bench.of(ActionChosen)) > 0
+
+
+def test_nobody_draws_beside_a_decision(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = OracleSession(preset="quiet")
+    session, after = bench.session, []
+    session.hush = Hush(lambda: 0.0)
+
+    def choose(fact: Fact) -> None:
+        if isinstance(fact, ActionChosen):
+            after.append(session.hush.on)
+
+    session.hub.subscribe(choose)
+    asked: list[bool] = []
+    answer = Oracle.estimate
+
+    def estimate(self: Oracle, episode: Episode) -> ContactPatch:
+        asked.append(session.hush.on)
+        return answer(self, episode)
+
+    monkeypatch.setattr(Oracle, "estimate", estimate)
+    session.run(request())
+    assert asked == [True] * len(asked)
+    assert after == [False] * len(asked)
+    assert asked

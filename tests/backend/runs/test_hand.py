@@ -64,6 +64,15 @@ def told(session):
     return facts
 
 
+def test_the_override_slows_a_held_jog_and_says_so(high):
+    high.interlock.override_speed(0.5)
+    before = position(high)
+    hold(high, 0.5)
+    state = high.hand.jog.state
+    assert (state.speed_mm_s, state.slow) == (10.0, "override 50 %")
+    assert np.linalg.norm(position(high) - before) == pytest.approx(0.5 * 20.0 * 0.48, rel=0.1)
+
+
 def test_a_held_jog_moves_at_its_speed_and_a_release_ends_it_at_once(high):
     before = position(high)
     hold(high, 0.5)

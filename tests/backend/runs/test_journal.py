@@ -62,6 +62,7 @@ ALL = [
     facts.Gripped(1.7, 1, 2, 16.5),
     facts.OriginChecked(1.8, (0.1, -0.2), 0.05, True),
     facts.DecisionAwaited(1.9, "u", 4),
+    facts.HandOverAwaited(1.95, "pot", gives=True),
     facts.ProbeCollected(
         2.0, "u", 4, 1, 4, 20, (1.0, 2.0), (1.1, 2.1), 0.15, (1.0, 2.0, 0.1, 0.2, 9.0), 0.0, 0.1, ""
     ),

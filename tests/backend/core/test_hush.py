@@ -1,0 +1,22 @@
+"""A hush ends when it is told to, and else by itself."""
+
+from backend.core.hush import Hush
+
+
+def test_it_ends_by_itself_if_nobody_ends_it():
+    now = [10.0]
+    hush = Hush(lambda: now[0])
+    assert not hush.on
+    hush.begin(0.08)
+    assert hush.on
+    now[0] = 10.079
+    assert hush.on
+    now[0] = 10.081
+    assert not hush.on
+
+
+def test_it_ends_with_the_decision():
+    hush = Hush(lambda: 0.0)
+    hush.begin(0.08)
+    hush.end()
+    assert not hush.on

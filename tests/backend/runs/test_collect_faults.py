@@ -1,0 +1,100 @@
+"""A sensor fails while a campaign runs: one fault, nothing lost, and it goes on after Reset."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from backend.assembly import SimulatedBenchChoice, simulated_session
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.values import EpisodeFilter
+from backend.config.method import ProbeSettings, StackSettings
+from backend.core.facts import Fact, FaultRaised, PhaseEntered, ProbeCollected, RunFinished
+from backend.runs.campaign import newest_campaign
+from backend.runs.requests import CollectRequest
+from backend.session import Keep
+from backend.simulation.disturbances import Disturbance, Script
+
+FASTEST = StackSettings(probe=ProbeSettings(travel_mm_s=50.0))
+
+
+class Failing:
+    """A session that collects, and of which a device fails within a press."""
+
+    def __init__(self, dataset: Dataset) -> None:
+        self.facts: list[Fact] = []
+        self.dataset = dataset
+        self.session = simulated_session(
+            SimulatedBenchChoice(preset="quiet"), keep=Keep(None), method=FASTEST
+        )
+        self.session.dataset = dataset
+        self.session.hub.subscribe(self._take)
+        self._fails: tuple[int, str, str] | None = None
+
+    def run(self, **asked) -> None:
+        self.session.run(CollectRequest(seed=2, person="ann", **asked))
+
+    def fail_in_press(self, number: int, device: str, kind: str) -> None:
+        self._fails = (number, device, kind)
+
+    def _take(self, fact: Fact) -> None:
+        self.facts.append(fact)
+        pressed = [f for f in self.facts if isinstance(f, PhaseEntered) and f.phase == "press"]
+        if self._fails is not None and len(pressed) == self._fails[0]:
+            _, device, kind = self._fails
+            script = Script((Disturbance(device, kind, fact.t_s + 0.3),))
+            bench = self.session._scene.stage.advance.__self__
+            for part in (bench, *bench.tactile.values()):
+                part._script = script
+            self._fails = None
+
+    def one_fault(self, code: str, device: str) -> None:
+        """Exactly this fault was announced and is latched, and the run failed by it."""
+        raised = [f.fault for f in self.facts if isinstance(f, FaultRaised)]
+        assert [(f.code, f.device) for f in raised] == [(code, device)]
+        assert self.session.interlock.faults == tuple(raised)
+        assert isinstance(self.facts[-1], RunFinished)
+        assert self.facts[-1].ending == "failed"
+
+    def only_what_was_told(self, count: int) -> None:
+        """Nothing is in the dataset but what was announced: no half probe, none with NaN."""
+        told = [f.uuid for f in self.facts if isinstance(f, ProbeCollected)]
+        assert [e.uuid for e in self.dataset.episodes(EpisodeFilter(deleted=None))] == told
+        assert len(told) == count
+
+
+@pytest.fixture
+def failing(tmp_path: Path) -> Iterator[Failing]:
+    with Dataset.open(tmp_path / "ds", person="ann") as dataset:
+        made = Failing(dataset)
+        yield made
+        made.session.close()
+
+
+@pytest.mark.slow
+def test_after_an_unplugged_camera_the_campaign_goes_on_where_it_was(failing: Failing) -> None:
+    failing.fail_in_press(2, "tactile_left", "stop")
+    failing.run(count=2)
+    failing.one_fault("CAMERA-STALE", "tactile_left")
+    failing.only_what_was_told(1)
+    failing.session.reset()
+    failing.run(campaign=newest_campaign(failing.dataset.folder))
+    assert failing.facts[-1].ending == "finished"
+    entries = failing.dataset.episodes()
+    assert [entry.plan_item for entry in entries] == [0, 1]
+    assert all(entry.quality.accepted and entry.file_state == "complete" for entry in entries)
+
+
+@pytest.mark.parametrize(
+    ("device", "kind", "code"),
+    [("tactile_right", "freeze", "CAMERA-FROZEN"), ("force_torque", "nan", "FT-STALE")],
+)
+def test_a_failing_sensor_within_a_press_is_no_probe(
+    device: str, kind: str, code: str, failing: Failing
+) -> None:
+    failing.fail_in_press(1, device, kind)
+    failing.run(count=1)
+    failing.one_fault(code, device)
+    failing.only_what_was_told(0)

@@ -1,0 +1,63 @@
+"""Without a jig the operator hands the piece over; no jaw moves before they confirm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from backend.assembly import SimulatedBenchChoice, simulated_session
+from backend.catalogue.dataset import Dataset
+from backend.config.method import ProbeSettings, StackSettings
+from backend.core.facts import Fact, HandOverAwaited, PhaseEntered, RunFinished
+from backend.runs.requests import CollectRequest
+from backend.session import Keep, Session
+
+
+def collected(dataset: Dataset, answer: Callable[[HandOverAwaited], bool], **asked):
+    """Collect by hand-over; returns the session, the facts, and how wide the jaws were asked."""
+    settings = StackSettings(probe=ProbeSettings(travel_mm_s=50.0))
+    choice = SimulatedBenchChoice(preset="quiet")
+    session: Session = simulated_session(choice, keep=Keep(None), method=settings)
+    session.dataset = dataset
+    facts: list[Fact] = []
+    session.hub.subscribe(facts.append)
+    asked_of: list[tuple[bool, bool]] = []
+
+    def hold(fact: Fact) -> None:
+        if isinstance(fact, HandOverAwaited):
+            asked_of.append((fact.gives, session.hand.holding))
+            session.answer(answer(fact))
+
+    session.hub.subscribe(hold)
+    session.run(CollectRequest(seed=2, person="ann", hand_over=True, **asked))
+    session.close()
+    return session, facts, asked_of
+
+
+@pytest.mark.slow
+def test_each_grip_is_handed_over_and_taken_back(tmp_path) -> None:
+    answers = iter([True, True, True, False])
+    with Dataset.open(tmp_path / "ds", person="ann") as dataset:
+        session, facts, asked_of = collected(
+            dataset, lambda _: next(answers), count=2, probes_per_grip=1
+        )
+        # Asked with open jaws before they close, and with the piece held before they open.
+        assert asked_of == [(True, False), (False, True)] * 2
+        # Nobody took it the last time: the jaws stay closed, and nothing is lost.
+        assert facts[-1].ending == "cancelled"
+        assert session.hand.holding
+        entries = dataset.episodes()
+        assert len({entry.grip_id for entry in entries}) == 2
+        # 0.05 mm arm, 0.1 mm origin, and 0.5 mm of the hand instead of 0.1 mm of a jig.
+        assert {dataset.labels.head(e.uuid).label.sigma_um for e in entries} == {512}
+
+
+def test_the_jaws_do_not_close_on_a_no(tmp_path) -> None:
+    with Dataset.open(tmp_path / "ds", person="ann") as dataset:
+        session, facts, _ = collected(dataset, lambda _: False, count=1)
+        assert isinstance(facts[-1], RunFinished)
+        assert facts[-1].ending == "cancelled"
+        assert not session.hand.holding
+        assert [f.phase for f in facts if isinstance(f, PhaseEntered)] == ["shift"]
+        assert dataset.episodes() == []

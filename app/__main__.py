@@ -12,7 +12,8 @@ from pathlib import Path
 def parser() -> argparse.ArgumentParser:
     """Return the arguments of the window (read before Qt is imported)."""
     made = argparse.ArgumentParser(prog="touchdown app", description="Open the window.")
-    made.add_argument("--theme", choices=("dark", "light", "contrast"), help="start in this theme")
+    made.add_argument("--theme", choices=("dark", "light", "contrast", "system"),
+                      help="start in this theme; system: as the desktop")  # fmt: skip
     made.add_argument("--page", choices=("operate", "collect", "train", "stack", "review"),
                       help="open with this workspace in front")  # fmt: skip
     made.add_argument("--replay", metavar="RUN", type=Path, help="review this recorded run")

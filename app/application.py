@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from datetime import datetime
 from functools import partial
 from pathlib import Path
 
@@ -12,38 +11,35 @@ from PySide6.QtGui import QIcon
 from PySide6.QtWidgets import QApplication
 
 from app.actions import Actions
-from app.activity import moving, unattended, why_no_run
+from app.activity import moving, unattended
 from app.appearance import Appearance
 from app.arrival import Arrival, failed_card
-from app.cards import card_of, refusal_card
 from app.chips import ChipsPresenter
 from app.desk_dialogs import DeskDialogs
 from app.error_hooks import ErrorBox
+from app.fact_cards import clock, tell
 from app.inspect import InspectPresenter
 from app.keys import rows_of
+from app.layout_menu import LayoutMenu
+from app.layouts import Layouts
 from app.link import Link
 from app.main_window import USUAL, MainWindow
+from app.on_screen import pulled_back
 from app.pill import pill_of
 from app.settings import WindowSettings, ignored_words, load_settings, save_settings
+from app.speed import SpeedOverride
 from app.stop_key import StopKey
+from app.tour import Tour, stops_of
 from app.workspace import Command, Desk, Workspace
 from app.workspaces import FIRST, WORKSPACES
-from backend.core.facts import (
-    Fact,
-    FaultRaised,
-    FaultsReset,
-    Refused,
-    RunFinished,
-    RunStarted,
-    Said,
-)
-from backend.core.faults import RefusedError
+from backend.core.facts import Fact
 from backend.core.hub import Mailbox
 from widgets.fault_cards import STOPPED, CardText, FaultCards, Question
 from widgets.pump import Pump
 from widgets.state_pill import PillState
 from widgets.theme import load_resources
 from widgets.top_bar import TopBar
+from widgets.tour_card import TourStop
 
 MOST_PARTS = 8
 """A page is drawn in at most so many pieces."""
@@ -61,10 +57,11 @@ class TouchdownApp(QObject):
         self._geometry = settings.geometry
         load_resources()
         application.setWindowIcon(QIcon("icons:touchdown.svg"))
-        self.look = Appearance(application, settings.theme, settings.scale)
+        self.look = Appearance(application, settings.theme, settings.scale, self)
         self.theme = self.look.theme
         self.cards = FaultCards(self.reset)
         self.bar = TopBar(self.theme, self.stop)
+        self._speed = SpeedOverride(self.bar, self.say)
         desk = Desk(self.theme, self.cards, runs, self.say, self.go, self._show_keys, self.remember)
         made = [make(desk) for make in WORKSPACES]
         self.workspaces: dict[str, Workspace] = {ws.name: ws for ws in made}
@@ -76,19 +73,32 @@ class TouchdownApp(QObject):
         self.inspect: InspectPresenter | None = None
         self.actions = Actions(self.window, rows_of(self._commands(), made), settings.keys)
         self.dialogs = DeskDialogs(self.window, self.actions, self.go, self.remember)
+        self.layouts = Layouts(
+            settings_file.with_name("layouts.json"),
+            {ws.name: ws.columns for ws in made if ws.columns is not None},
+            self.say,
+            partial(self._disk_refused, "saving the layouts"),
+        )
+        self.layout_menu = LayoutMenu(
+            self.window, self.layouts, lambda: self.window.front, self.actions.action("layout")
+        )
+        self.dialogs.more = lambda: self.layouts.entries(self.window.front)
+        self.toured, self.tour_due, self._closing_allowed = settings.toured, False, False
+        self.tour = Tour(self.theme, self.window, self._stops, self.go, self._tour_ended)
         self._wire_rail()
         self.look.refit = self._refit
-        self.pump = Pump(self, self._pull)
+        self.look.dress()
+        self.pump = Pump(self, self._pull, hold=self._hushed)
         self._add_parts()
         self._stop_key = StopKey(self, self.stop, self._moving)
         application.installEventFilter(self._stop_key)
-        self._closing_allowed = False
         self._show_connecting()
         dropped = self._recall(settings)
         self.go(settings.front if settings.front in self.workspaces else FIRST)
         warning = f"{warning} {ignored_words(dropped)}".strip()
-        if warning:
-            self.cards.show_card(CardText("SETTINGS", warning, "", "", reset=False))
+        for notice in (warning, self.layouts.load()):
+            if notice:
+                self.cards.show_card(CardText("SETTINGS", notice, "", "", reset=False, notice=True))
 
     # -- life -------------------------------------------------------------------------------------
 
@@ -106,14 +116,22 @@ class TouchdownApp(QObject):
         for ws in self.workspaces.values():
             ws.attach(link)
         self.window.show_simulated(link.simulated)
-        self.bar.show_hardware_stop("none (simulated)" if link.simulated else "unknown")
+        self._speed.attach(link)
+        self.bar.show_hardware_stop("none" if link.simulated else "unknown")
         link.open()
+        # Whoever has gone to another page meanwhile has begun to work.
+        fresh = self.tour_due and not self.toured and self.window.front == FIRST
+        if fresh and link.simulated:
+            # Noted first: after a crash it must not take the page in front away from its user.
+            self.toured = True
+            self.remember()
+            self.tour.begin()
 
     def start(self) -> None:
         """Show the window and begin to pump."""
         if self._geometry is not None:
             self.window.setGeometry(*self._geometry)
-        _pull_back(self.window)
+        self._pull_back()
         self.window.show()
         self.pump.start()
 
@@ -122,6 +140,7 @@ class TouchdownApp(QObject):
         self.pump.stop()
         self._application.removeEventFilter(self._stop_key)
         self.remember()
+        self.layouts.remember()
         link, self.link = self.link, None
         for ws in self.workspaces.values():
             ws.close()
@@ -132,17 +151,21 @@ class TouchdownApp(QObject):
         """Write the settings as they are now; a disk that refuses becomes a card."""
         area = self.window.normalGeometry()
         settings = WindowSettings(
-            theme=self.theme.tokens.name,
+            theme=self.look.choice,
             scale=self.theme.scale,
             geometry=(area.x(), area.y(), area.width(), area.height()),
             front=self.window.front,
             keys=self.actions.changed,
+            toured=self.toured,
             pages={name: dict(ws.memory()) for name, ws in self.workspaces.items()},
         )
         try:
             save_settings(self._settings_file, settings)
         except OSError as error:
-            self._box.exception(OSError, error, None, "saving the window settings")
+            self._disk_refused("saving the window settings", error)
+
+    def _disk_refused(self, doing: str, error: OSError) -> None:
+        self._box.exception(OSError, error, None, doing)
 
     def quit_at_once(self, status: int = 0) -> None:
         """Close without a question (for pictures and measurements)."""
@@ -191,7 +214,7 @@ class TouchdownApp(QObject):
                     "Stopped by the operator.",
                     "The run ends and new motion is refused; the grip is kept.",
                     "Look at the bench, then press Reset.",
-                    at=_clock(),
+                    at=clock(),
                 )
             )
 
@@ -226,13 +249,19 @@ class TouchdownApp(QObject):
             *pages,
             Command("connect", "Connect the bench", "Ctrl+L", self._connect_again),
             Command("layout", "Reset the layout", "Ctrl+0", self._reset_layout),
-            Command("theme", "Next theme: dark, light, high contrast", "Ctrl+T",
-                    self.look.next_theme),
+            Command("layouts", "Layouts of this workspace", "Ctrl+Alt+L", self._show_layouts),
+            Command("lock", "Lock or unlock the layout", "", lambda: self.layouts.toggle_lock()),
+            Command("save-layout", "Save the layout under a name", "",
+                    lambda: self.layout_menu.ask_name()),
+            Command("theme", "Next theme: dark, light, high contrast, as the system", "Ctrl+T",
+                    self._next_theme),
             Command("larger", "Larger text", "Ctrl++", self.look.larger),
             Command("smaller", "Smaller text", "Ctrl+-", self.look.smaller),
             Command("keys", "Key sheet", "F1", self._show_keys),
             Command("palette", "Find a command", "Ctrl+K", self._show_palette),
+            *self._speed.commands,
             Command("fullscreen", "Full screen", "F11", self._full_screen),
+            Command("tour", "Tour of the window", "Ctrl+F1", lambda: self.tour.begin()),
             Command("quit", "Quit", "Ctrl+Q", self._quit),
         ]  # fmt: skip
 
@@ -250,13 +279,33 @@ class TouchdownApp(QObject):
     def _reset_layout(self) -> None:
         self.window.showNormal()
         self.window.resize(USUAL)
-        _pull_back(self.window)
+        self._pull_back()
+        self.layouts.reset(self.window.front)
         self.workspaces[self.window.front].reset_layout()
+
+    def _pull_back(self) -> None:
+        screens = [screen.availableGeometry() for screen in QApplication.screens()]
+        self.window.setGeometry(pulled_back(self.window.geometry(), screens))
+
+    def _show_layouts(self) -> None:
+        self.layout_menu.show(self.window.rail["layouts"])
+
+    def _next_theme(self) -> None:
+        self.look.next_theme()
+        self.say(f"Theme: {self.look.words()}.")
+
+    def _stops(self) -> tuple[TourStop, ...]:
+        return stops_of(self.window, self.bar, self.workspaces)
+
+    def _tour_ended(self) -> None:
+        self.toured = True
+        self.remember()
 
     def _refit(self) -> None:
         self.window.fit_to_theme()
         for ws in self.workspaces.values():
             ws.fit_to_theme()
+        self.tour.fit()
 
     def _show_keys(self) -> None:
         self.dialogs.show_keys()
@@ -284,6 +333,9 @@ class TouchdownApp(QObject):
         if turn < len(parts):
             parts[turn]()
 
+    def _hushed(self) -> bool:
+        return self.link is not None and self.link.hush.on
+
     def _pull(self) -> bool:
         arrived = self._arrival.take()
         if isinstance(arrived, Exception):
@@ -305,22 +357,7 @@ class TouchdownApp(QObject):
     def _take(self, fact: Fact) -> None:
         for ws in self.workspaces.values():
             ws.take(fact)
-        if isinstance(fact, FaultRaised):
-            self.cards.show_card(card_of(fact.fault, _clock()))
-        elif isinstance(fact, Refused):
-            self.cards.show_card(refusal_card(RefusedError(fact.reason, fact.text), _clock()))
-        elif isinstance(fact, FaultsReset):
-            self.cards.clear()
-            if self.link is not None and why_no_run(self.link):
-                self.say(f"{why_no_run(self.link)}.")
-        elif isinstance(fact, RunStarted):
-            self.say("")
-            self.cards.pass_on()
-        elif isinstance(fact, Said):
-            self.say(fact.text)
-        elif isinstance(fact, RunFinished) and fact.ending != "finished":
-            was = "failed" if fact.ending == "failed" else f"was {fact.ending}"
-            self.say(f"The run {was}: {fact.reason}")
+        tell(fact, self.link, self.cards, self.say)
 
     def _show_connecting(self) -> None:
         self.bar.pill.show_state(PillState("CONNECTING", "ring", "blue", "preparing the bench"))
@@ -346,17 +383,3 @@ class TouchdownApp(QObject):
 
 def _stay() -> None:
     """Do nothing: the run goes on."""
-
-
-def _clock() -> str:
-    return f"{datetime.now():%H:%M:%S}"
-
-
-def _pull_back(window: MainWindow) -> None:
-    """Move the window onto a screen that exists."""
-    screen = window.screen()
-    if screen is None:
-        return
-    area, mine = screen.availableGeometry(), window.geometry()
-    if not area.intersects(mine):
-        window.move(area.topLeft())

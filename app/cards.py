@@ -19,5 +19,5 @@ def card_of(fault: Fault, at: str) -> CardText:
 
 def refusal_card(error: RefusedError, at: str) -> CardText:
     """Return the card of an order by hand that was refused or ended."""
-    return CardText(error.reason, error.detail, "Nothing moves.", "", reset=False, at=at,
-                    passing=True)  # fmt: skip
+    consequence = "The order was refused or has ended."
+    return CardText(error.reason, error.detail, consequence, "", reset=False, at=at, passing=True)

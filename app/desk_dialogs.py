@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 from PySide6.QtWidgets import QWidget
 
 from app.actions import Actions
 from app.keys import EVERYWHERE, Row
+from app.layouts import Entry
 from widgets.command_palette import Choice, CommandPalette
 from widgets.key_asker import KeyAsker
 from widgets.key_sheet import KeySheet
 
-CHANGE = "key:"
-"""Prefix of the palette's entries that change a key."""
+CHANGE, MORE = "key:", "more:"
+"""Prefixes of the palette's entries that change a key, and of those that come and go."""
 
 
 class DeskDialogs:
@@ -25,6 +26,9 @@ class DeskDialogs:
         changed: Callable[[], None],
     ) -> None:  # fmt: skip
         self._window, self._actions, self._go, self._changed = window, actions, go, changed
+        self.more: Callable[[], Sequence[Entry]] = tuple
+        """Further entries of the palette, those that come and go: (text, act)."""
+        self._offered: Sequence[Entry] = ()
         self.sheet: KeySheet | None = None
         self.palette: CommandPalette | None = None
         self.asker: KeyAsker | None = None
@@ -44,6 +48,10 @@ class DeskDialogs:
     def _choices(self) -> list[Choice]:
         rows = [row for row in self._actions.rows if row.command is not None]
         acts = [Choice(row.id, row.title, row.text, row.key) for row in rows]
+        self._offered = self.more()
+        acts += [
+            Choice(f"{MORE}{at}", "Here", text, "") for at, (text, _) in enumerate(self._offered)
+        ]
         return acts + [
             Choice(CHANGE + row.id, row.title, f"Change key of: {row.text}", "") for row in rows
         ]
@@ -54,6 +62,9 @@ class DeskDialogs:
             if self.asker is None:
                 self.asker = KeyAsker(self._window)
             self.asker.ask(row.text, row.key, partial(self._change, row.id))
+            return
+        if name.startswith(MORE):
+            self._offered[int(name.removeprefix(MORE))][1]()
             return
         row = self._row(name)
         if row.context != EVERYWHERE:

@@ -9,6 +9,7 @@ from backend.catalogue.dataset import Dataset
 from backend.core.facts import Decision
 from backend.core.flow import Finger, MarkerField, TactileFrame
 from backend.core.hub import Hub
+from backend.core.hush import Hush
 from backend.core.stream import SampleStream, Stream
 from backend.devices.interlock import Interlock
 from backend.devices.protocols import Device
@@ -36,6 +37,8 @@ class Link(Protocol):
     simulated: bool
     hub: Hub
     interlock: Interlock
+    hush: Hush
+    """While it is on nothing is drawn: a decision is due."""
     frames: Mapping[Finger, Stream[TactileFrame]]
     fields: Mapping[Finger, Stream[MarkerField]]
     wrench: SampleStream

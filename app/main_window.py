@@ -6,8 +6,9 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from PySide6.QtCore import QSize, Qt
-from PySide6.QtGui import QCloseEvent, QFontMetrics
+from PySide6.QtGui import QCloseEvent, QFontMetrics, QResizeEvent
 from PySide6.QtWidgets import (
+    QApplication,
     QFrame,
     QHBoxLayout,
     QMainWindow,
@@ -31,7 +32,8 @@ MINIMUM = QSize(1280, 720)
 PAGE_EM = (74, 33)
 """A page needs this much room, in heights of the base font; with less it scrolls."""
 USUAL = QSize(1600, 940)
-FOOT_OF_RAIL = (("theme", "Theme"), ("keys", "Keys"))
+RAIL_GAP_PX, RAIL_MARGIN_PX = 4, 8
+FOOT_OF_RAIL = (("layouts", "Layout"), ("theme", "Theme"), ("keys", "Keys"))
 
 
 class Tab(Protocol):
@@ -73,14 +75,15 @@ class MainWindow(QMainWindow):
         middle.setSpacing(0)
         middle.addWidget(self._rail())
         middle.addLayout(right, 1)
-        frame = QWidget()
+        frame = self._frame = QWidget()
         frame.setObjectName("frame")
         column = QVBoxLayout(frame)
         column.setContentsMargins(0, 0, 0, 0)
         column.setSpacing(0)
         column.addWidget(bar)
         column.addLayout(middle, 1)
-        column.addWidget(self._foot())
+        self._foot_frame = self._foot()
+        column.addWidget(self._foot_frame)
         self.setCentralWidget(frame)
         # Holds the focus at the start, so that no control looks chosen before Tab is pressed.
         frame.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
@@ -90,8 +93,8 @@ class MainWindow(QMainWindow):
         rail = QFrame()
         rail.setProperty("role", "rail")
         column = QVBoxLayout(rail)
-        column.setContentsMargins(5, 8, 5, 8)
-        column.setSpacing(4)
+        column.setContentsMargins(5, RAIL_MARGIN_PX, 5, RAIL_MARGIN_PX)
+        column.setSpacing(RAIL_GAP_PX)
         for name in self._pages:
             self.rail[name].setCheckable(True)
             column.addWidget(self.rail[name])
@@ -113,6 +116,10 @@ class MainWindow(QMainWindow):
 
     def show_page(self, name: str) -> None:
         """Bring a workspace to the front."""
+        focus = QApplication.focusWidget()
+        if focus is not None and self._stack.isAncestorOf(focus):
+            # Else the first control of the other page would look chosen.
+            self._frame.setFocus()
         self.front = name
         self._stack.setCurrentWidget(self._scrolls[name])
         for key in self._pages:
@@ -145,6 +152,22 @@ class MainWindow(QMainWindow):
         self.setMinimumWidth(max(MINIMUM.width(), self._bar.minimumSizeHint().width()))
         for name, button in self.rail.items():
             button.setIcon(icon(name, self._theme.tokens.colour("text"), 22))
+        self._fit_rail()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Leave the icons out of the rail where there is room for its words alone."""
+        super().resizeEvent(event)
+        self._fit_rail()
+
+    def _fit_rail(self) -> None:
+        full = Qt.ToolButtonStyle.ToolButtonTextUnderIcon
+        for style in (full, Qt.ToolButtonStyle.ToolButtonTextOnly):
+            for button in self.rail.values():
+                button.setToolButtonStyle(style)
+            needed = sum(button.sizeHint().height() + RAIL_GAP_PX for button in self.rail.values())
+            taken = self._bar.sizeHint().height() + self._foot_frame.sizeHint().height()
+            if needed + 2 * RAIL_MARGIN_PX <= self.height() - taken:
+                return
 
     def closeEvent(self, event: QCloseEvent) -> None:
         """Close if granted."""

@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import cast
 
+from app.appearance import CHOICES, Choice
 from backend.core.files import write_atomically
-from widgets.theme import THEMES, ThemeName
 
 VERSION = 2
 Json = dict[str, object]
@@ -20,15 +20,16 @@ Json = dict[str, object]
 class WindowSettings:
     """``geometry``: x, y, width, height of the normal window; None: not known.
 
-    ``front``: the workspace in front. ``keys``: changed keys by command. ``pages``: what each
-    workspace remembers; the workspace itself judges that.
+    ``front``: the workspace in front. ``keys``: changed keys by command. ``toured``: the tour was
+    shown. ``pages``: what each workspace remembers; the workspace itself judges that.
     """
 
-    theme: ThemeName = "dark"
+    theme: Choice = "dark"
     scale: float = 1.0
     geometry: tuple[int, int, int, int] | None = None
     front: str = ""
     keys: dict[str, str] = field(default_factory=dict)
+    toured: bool = False
     pages: dict[str, Json] = field(default_factory=dict)
 
 
@@ -53,11 +54,12 @@ def load_settings(path: Path) -> tuple[WindowSettings, str]:
         return WindowSettings(), "The window settings are of another version: defaults are used."
     dropped: list[str] = []
     settings = WindowSettings(
-        theme=cast("ThemeName", _kept(raw, "theme", "dark", lambda v: v in THEMES, dropped)),
+        theme=cast("Choice", _kept(raw, "theme", "dark", lambda v: v in CHOICES, dropped)),
         scale=float(cast("float", _kept(raw, "scale", 1.0, _is_scale, dropped))),
         geometry=_geometry(raw.get("geometry"), dropped),
         front=cast("str", _kept(raw, "front", "", _is_text, dropped)),
         keys=_keys(raw.get("keys", {}), dropped),
+        toured=bool(_kept(raw, "toured", True, lambda v: isinstance(v, bool), dropped)),
         pages=_pages(raw, dropped),
     )
     return settings, ignored_words(dropped)

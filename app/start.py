@@ -67,6 +67,8 @@ def _show(main: TouchdownApp, args: argparse.Namespace) -> None:
         review = main.workspaces["review"]
         assert isinstance(review, ReviewWorkspace)
         review.presenter.open(args.replay)
+    # Whoever asks for something at the start wants that, not a tour.
+    main.tour_due = not (args.grab or args.measure or args.page or args.replay)
     main.connect_bench(live_bench)
 
 

@@ -10,6 +10,7 @@ from PySide6.QtWidgets import QWidget
 
 from app.link import Link
 from backend.core.facts import Fact
+from widgets.columns import Columns
 from widgets.fault_cards import FaultCards
 from widgets.theme import Theme
 
@@ -64,6 +65,8 @@ class Workspace:
     commands: Sequence[Command] = ()
     held_keys: Sequence[tuple[str, str]] = ()
     """(key, text) of keys that act while they are held; the page handles them itself."""
+    columns: Columns | None = None
+    """What of the page can be arranged; None: nothing."""
     parts: Sequence[Callable[[], None]] = ()
     """What draws the page, in pieces of few ms; called in turn while the page is in front."""
 

@@ -8,6 +8,7 @@ os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 os.environ["QT_SCALE_FACTOR"] = "1"
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import gc
 import itertools
 import socket
 from collections.abc import Iterator
@@ -38,6 +39,20 @@ def _guarded(name: str) -> Any:
         return original(self, *args)
 
     return call
+
+
+@pytest.fixture(autouse=True, scope="session")
+def light_collections() -> None:
+    """Keep what was imported out of the garbage collector's sight: each look took 0.13 s."""
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.fixture(autouse=True, scope="module")
+def freed() -> Iterator[None]:
+    """Free what refers to itself: the pictures of a few sessions fill a gigabyte."""
+    yield
+    gc.collect()
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import sys
 import threading
 from dataclasses import dataclass
@@ -77,6 +78,8 @@ def _threads() -> list[threading.Thread]:
 
 
 def _children() -> list[psutil.Process]:
+    if _childless():
+        return []
     found = []
     for child in psutil.Process().children():
         try:
@@ -88,6 +91,17 @@ def _children() -> list[psutil.Process]:
         except psutil.NoSuchProcess:
             continue
     return found
+
+
+def _childless() -> bool:
+    """Ask the system at no cost; psutil looks at every process of the machine."""
+    if not hasattr(os, "waitid"):
+        return False
+    try:
+        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+    except ChildProcessError:
+        return True
+    return False
 
 
 def _sockets() -> list[tuple[str, ...]]:

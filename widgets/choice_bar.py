@@ -11,6 +11,8 @@ from PySide6.QtWidgets import QFrame, QGridLayout, QPushButton, QVBoxLayout, QWi
 from widgets.panel import label
 
 COLUMNS = 3
+LONG = 18
+"""Answers with more letters than this stand two to a row."""
 ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
 
 
@@ -138,11 +140,12 @@ class ChoiceBar(QFrame):
             widget = item.widget() if item is not None else None
             if widget is not None:
                 widget.deleteLater()
+        columns = COLUMNS if max(map(len, texts), default=0) <= LONG else 2
         for at, (text, word) in enumerate(zip(texts, words, strict=True)):
             button = QPushButton(text)
             button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
             button.clicked.connect(lambda _=False, word=word: self._take(word))
-            self._grid.addWidget(button, at // COLUMNS, at % COLUMNS)
+            self._grid.addWidget(button, at // columns, at % columns)
         self.show()
         self.setFocus()
 

@@ -18,6 +18,7 @@ from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from backend.core.flow import FloatArray
 from widgets.colour_maps import MapName, colours, table
+from widgets.mm_grid import draw_mm_grid
 from widgets.overlay import draw_message
 from widgets.plot_axes import PlotArea, nice_step, tick_text, ticks
 from widgets.theme import Theme, ui_font
@@ -148,7 +149,7 @@ class DistributionView(QWidget):
 
     def _draw(self, painter: QPainter, area: PlotArea) -> None:
         painter.setFont(ui_font(self._theme.scale, 0.8))
-        _draw_axes(painter, area, self._theme)
+        draw_mm_grid(painter, area, self._theme, 6 if area.rect.width() > 260 else 4)
         painter.save()
         painter.setClipRect(area.rect)
         if self.scene.bins is not None:
@@ -236,29 +237,6 @@ def _pixels(area: PlotArea, points: FloatArray) -> tuple[FloatArray, FloatArray]
     x = area.rect.left() + (points[:, 0] - area.x0) * scale
     y = area.rect.bottom() - (points[:, 1] - area.y0) * scale
     return x, y
-
-
-def _draw_axes(painter: QPainter, area: PlotArea, theme: Theme) -> None:
-    t, rect = theme.tokens, area.rect
-    painter.fillRect(rect, t.colour("bg"))
-    height = painter.fontMetrics().height()
-    count = 6 if rect.width() > 260 else 4
-    step = nice_step(area.x1 - area.x0, count)
-    for value in ticks(area.x0, area.x1, count):
-        x, y = area.x(value), area.y(value)
-        painter.setPen(QPen(t.colour("grid"), 1))
-        painter.drawLine(QPointF(x, rect.top()), QPointF(x, rect.bottom()))
-        painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
-        painter.setPen(t.colour("muted"))
-        text = tick_text(value, step)
-        painter.drawText(QRectF(x - 30, rect.bottom() + 2, 60, height),
-                         int(Qt.AlignmentFlag.AlignHCenter), text)  # fmt: skip
-        painter.drawText(QRectF(rect.left() - 44, y - height / 2, 40, height),
-                         int(Qt.AlignmentFlag.AlignRight), text)  # fmt: skip
-    corner = rect.adjusted(5, 3, -5, -3)
-    low, right = Qt.AlignmentFlag.AlignBottom, Qt.AlignmentFlag.AlignRight
-    painter.drawText(corner, int(low | right), "x (mm)")
-    painter.drawText(corner, int(Qt.AlignmentFlag.AlignLeft), "y (mm)")
 
 
 def reach_of(bottom: FloatArray, points_mm: FloatArray) -> float:

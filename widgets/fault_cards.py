@@ -30,7 +30,8 @@ STOPPED = "STOPPED"
 class CardText:
     """One card. ``reset``: it belongs to the stop latch, only Reset removes it.
 
-    ``passing``: an order was refused; the next one that is carried out removes it.
+    ``passing``: an order was refused; the next one that is carried out removes it. ``notice``: said
+    once; another wording under the same code is another card, and none makes room unread.
     """
 
     code: str
@@ -41,6 +42,12 @@ class CardText:
     reset: bool = True
     at: str = ""
     passing: bool = False
+    notice: bool = False
+
+    @property
+    def key(self) -> str:
+        """Return what makes two cards the same one."""
+        return f"{self.code} {self.what}" if self.notice else self.code
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,23 +164,27 @@ class FaultCards(QWidget):
     @property
     def codes(self) -> tuple[str, ...]:
         """Codes of the cards shown, oldest first."""
-        return tuple(self._cards)
+        return tuple(card.text.code for card in self._cards.values())
 
     def card(self, code: str) -> FaultCard:
-        """Return the card of ``code``; raises KeyError."""
-        return self._cards[code]
+        """Return the newest card of ``code``; raises KeyError."""
+        for card in reversed(self._cards.values()):
+            if card.text.code == code:
+                return card
+        raise KeyError(code)
 
     def show_card(self, text: CardText) -> None:
         """Add a card, or count a repetition of the same code."""
-        if text.code in self._cards:
-            card = self._cards[text.code] = self._cards.pop(text.code)
+        if text.key in self._cards:
+            card = self._cards[text.key] = self._cards.pop(text.key)
             card.again(text)
         else:
-            if len(self._cards) >= MAX_CARDS:
-                self._remove(self._ranked()[-1].text.code)
+            old = [card.text.key for card in self._ranked() if not card.text.notice]
+            if len(old) >= MAX_CARDS:
+                self._remove(old[-1])
             card = FaultCard(text, self._pressed)
             card.more.clicked.connect(self._unfold)
-            self._cards[text.code] = card
+            self._cards[text.key] = card
         self._lay_out()
 
     def ask(self, question: Question) -> None:
@@ -201,24 +212,24 @@ class FaultCards(QWidget):
 
     def pass_on(self) -> None:
         """Remove the cards of refused orders: a later one was carried out."""
-        self.clear([code for code, card in self._cards.items() if card.text.passing])
+        self.clear([card.text.code for card in self._cards.values() if card.text.passing])
 
     def clear(self, codes: Sequence[str] | None = None) -> None:
         """Remove the latched cards (or those of ``codes``)."""
-        for code, card in list(self._cards.items()):
-            if (codes is None and card.text.reset) or (codes is not None and code in codes):
-                self._remove(code)
+        for key, card in list(self._cards.items()):
+            if card.text.reset if codes is None else card.text.code in codes:
+                self._remove(key)
         self._lay_out()
 
     def _pressed(self, text: CardText) -> None:
         if text.reset:
             self._on_reset()
         else:
-            self._remove(text.code)
+            self._remove(text.key)
             self._lay_out()
 
-    def _remove(self, code: str) -> None:
-        card = self._cards.pop(code)
+    def _remove(self, key: str) -> None:
+        card = self._cards.pop(key)
         self._column.removeWidget(card)
         card.hide()
         card.deleteLater()

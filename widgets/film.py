@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from PySide6.QtCore import QElapsedTimer, QTimer
+from PySide6.QtCore import QElapsedTimer, QTimer, Signal
 from PySide6.QtWidgets import QGridLayout, QWidget
 
 from backend.core.flow import (
@@ -49,7 +49,12 @@ def latest(t_s: FloatArray, cursor_s: float) -> int:
 
 
 class Film(QWidget):
-    """Shows a reel; ``seek`` is told where playing or stepping moves the cursor."""
+    """Shows a reel; ``seek`` is told where playing or stepping moves the cursor.
+
+    ``ran`` tells that it plays (True) or stands still.
+    """
+
+    ran = Signal(bool)
 
     def __init__(self, theme: Theme, seek: Callable[[float], None]) -> None:
         super().__init__()
@@ -58,6 +63,8 @@ class Film(QWidget):
         self._span_s = (0.0, 2.0)
         self.cursor_s = 0.0
         self.views = {finger: TactileView(theme, finger) for finger in FINGERS}
+        for view in self.views.values():
+            view.never = view.gone = "No picture recorded"
         self.notes = {finger: label("", "small") for finger in FINGERS}
         grid = QGridLayout(self)
         grid.setContentsMargins(0, 0, 0, 0)
@@ -79,7 +86,7 @@ class Film(QWidget):
 
     def show_reel(self, reel: Reel, span_s: tuple[float, float], cursor_s: float) -> None:
         """Show another probe, which lasts from ``span_s[0]`` to ``span_s[1]``."""
-        self._timer.stop()
+        self.stop()
         self._reel, self._span_s = reel, span_s
         self.show_cursor(cursor_s)
 
@@ -92,20 +99,22 @@ class Film(QWidget):
     def play_or_pause(self) -> None:
         """Play from the cursor, from the start if it is at the end; or pause."""
         if self._timer.isActive():
-            self._timer.stop()
+            self.stop()
             return
         at_end = self.cursor_s >= self._span_s[1] - 1e-6
         self._from_s = self._span_s[0] if at_end else self.cursor_s
         self._clock.start()
         self._timer.start()
+        self.ran.emit(True)
 
     def stop(self) -> None:
         """Stand still."""
         self._timer.stop()
+        self.ran.emit(False)
 
     def step(self, by: int) -> None:
         """Move the cursor to the next (1) or former (-1) frame of any finger."""
-        self._timer.stop()
+        self.stop()
         stamps = np.unique([t_s for track in self._reel.values() for t_s in _stamps(track)])
         later, earlier = (
             stamps[stamps > self.cursor_s + 1e-9],
@@ -118,7 +127,7 @@ class Film(QWidget):
     def _turn(self) -> None:
         at_s = self._from_s + self._clock.elapsed() * 1e-3
         if at_s >= self._span_s[1]:
-            self._timer.stop()
+            self.stop()
         self._seek(min(at_s, self._span_s[1]))
 
     def _show_finger(self, finger: Finger, track: FilmTrack | None) -> None:

@@ -11,7 +11,7 @@ from PySide6.QtGui import QColor, QPainter, QPen, QPolygonF
 from backend.core.flow import FloatArray
 from widgets.belief_marks import plus
 from widgets.offset_scene import Ghost, GhostKind, OffsetScene, Point
-from widgets.plot_axes import PlotArea, nice_step, tick_text, ticks
+from widgets.plot_axes import PlotArea
 from widgets.theme import Theme, blend, ui_font
 
 LINES: dict[GhostKind, Qt.PenStyle] = {
@@ -23,29 +23,6 @@ LINES: dict[GhostKind, Qt.PenStyle] = {
 AT: dict[GhostKind, float] = {"commanded": 2.1, "measured": 3.9, "scene": 1.0, "model": -0.6}
 """Where on its outline a source is named (rad)."""
 SCALE_BAR_MM = 5.0
-
-
-def draw_grid(painter: QPainter, area: PlotArea, theme: Theme) -> None:
-    """Draw the ground with lines and figures in mm."""
-    t, rect = theme.tokens, area.rect
-    painter.fillRect(rect, t.colour("bg"))
-    height = painter.fontMetrics().height()
-    step = nice_step(area.x1 - area.x0, 6)
-    for value in ticks(area.x0, area.x1, 6):
-        x, y = area.x(value), area.y(value)
-        painter.setPen(QPen(t.colour("grid"), 1))
-        painter.drawLine(QPointF(x, rect.top()), QPointF(x, rect.bottom()))
-        painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
-        painter.setPen(t.colour("muted"))
-        text = tick_text(value, step)
-        painter.drawText(QRectF(x - 30, rect.bottom() + 3, 60, height),
-                         int(Qt.AlignmentFlag.AlignHCenter), text)  # fmt: skip
-        painter.drawText(QRectF(rect.left() - 46, y - height / 2, 41, height),
-                         int(Qt.AlignmentFlag.AlignRight), text)  # fmt: skip
-    corner = rect.adjusted(6, 4, -6, -4)
-    low, right = Qt.AlignmentFlag.AlignBottom, Qt.AlignmentFlag.AlignRight
-    painter.drawText(corner, int(low | right), "x (mm)")
-    painter.drawText(corner, int(Qt.AlignmentFlag.AlignLeft), "y (mm)")
 
 
 def draw_scale_bar(painter: QPainter, area: PlotArea, theme: Theme) -> None:

@@ -12,6 +12,7 @@ from PySide6.QtGui import QMouseEvent, QPainter, QPaintEvent, QPixmap
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from widgets import offset_marks as marks
+from widgets.mm_grid import draw_mm_grid
 from widgets.offset_scene import OffsetScene, Point, offset_in_words, verdict_in_words
 from widgets.overlay import draw_message
 from widgets.plot_axes import PlotArea
@@ -148,7 +149,7 @@ class OffsetView(QWidget):
             painter.setRenderHint(QPainter.RenderHint.Antialiasing)
             painter.setFont(ui_font(self._theme.scale, 0.85))
             try:
-                marks.draw_grid(painter, area, self._theme)
+                draw_mm_grid(painter, area, self._theme)
                 painter.setClipRect(area.rect)
                 marks.draw_bottom(painter, area, scene, self._theme)
                 marks.draw_scale_bar(painter, area, self._theme)

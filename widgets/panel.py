@@ -29,6 +29,12 @@ class Panel(QFrame):
         if body is not None:
             self.column.addWidget(body, 1)
 
+    def rename(self, title: str) -> None:
+        """Give the panel another title."""
+        if title != self._title.text():
+            self._title.setText(title)
+            self.setAccessibleName(title)
+
 
 class Captioned(QWidget):
     """A view under a line with its name and, at the right, live details."""

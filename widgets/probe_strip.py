@@ -31,6 +31,7 @@ class Thumbnail(QWidget):
         self.view.setFixedSize(SIDE_PX, SIDE_PX)
         self.view.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.caption = label("", "small")
+        self.caption.setAlignment(Qt.AlignmentFlag.AlignHCenter)
         column = QVBoxLayout(self)
         column.setContentsMargins(4, 4, 4, 2)
         column.setSpacing(1)
@@ -44,7 +45,8 @@ class Thumbnail(QWidget):
         self.view.show_scene(scene)
         self.caption.setText(caption)
         self.setAccessibleName(f"Probe {self.index + 1}: {describe(scene)}")
-        self.setToolTip(f"Probe {caption} (estimated margin). Click to look back.")
+        said = caption.replace("\n", ", ")
+        self.setToolTip(f"Probe {said} (estimated margin). Click to look back.")
 
     def show_chosen(self, chosen: bool) -> None:
         """Mark this as the one shown large."""
@@ -78,6 +80,7 @@ class ProbeStrip(QWidget):
         super().__init__()
         self._theme, self._on_choose = theme, on_choose
         self.thumbnails: list[Thumbnail] = []
+        self._lines = 1
         self._inner = QWidget()
         self._row = QHBoxLayout(self._inner)
         self._row.setContentsMargins(0, 0, 0, 0)
@@ -97,7 +100,7 @@ class ProbeStrip(QWidget):
 
     def sizeHint(self) -> QSize:
         """Return room for one row and its scroll bar."""
-        return QSize(300, SIDE_PX + self.fontMetrics().height() + 20)
+        return QSize(300, SIDE_PX + self._lines * self.fontMetrics().height() + 20)
 
     def minimumSizeHint(self) -> QSize:
         """Return a low width: the strip scrolls."""
@@ -118,6 +121,10 @@ class ProbeStrip(QWidget):
             if thumbnail.view.scene is not scene:
                 thumbnail.show_probe(scene, caption)
             thumbnail.show_chosen(thumbnail.index == chosen)
+        lines = max((caption.count("\n") + 1 for _, caption in probes), default=1)
+        if lines != self._lines:
+            self._lines = lines
+            self.updateGeometry()
         self._scroll.setVisible(bool(probes))
         bar = self._scroll.horizontalScrollBar()
         if chosen == len(probes) - 1:

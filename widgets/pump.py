@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 
 from PySide6.QtCore import QObject, Qt, QTimer
 
-PERIOD_MS = 32
-"""Slightly above 30 Hz, so that a late tick now and then still leaves 30 pictures a second."""
+TURNS = 2
+"""What is drawn in one tick Qt paints in one go, and nothing else happens meanwhile: half the views
+at a time keep the window waiting half as long."""
+PERIOD_MS = 32 // TURNS
+"""Each view slightly above 30 Hz: a late tick now and then still leaves 30 pictures a second."""
 BUDGET_S = 0.008
 
 
 class Pump:
-    """Calls ``pull`` for facts until there is none, then each view's ``draw``, every 32 ms.
+    """Calls ``pull`` for facts until there is none, then ``draw`` of half the views, every 16 ms.
 
     ``pull`` handles one fact and returns False when there was none; the budget is checked after
-    every single fact, so a burst is spread over ticks and the window stays alive. Views are drawn
-    in turn; one that no longer fits into the budget is first in the next tick.
+    every single fact, so a burst is spread over ticks and the window stays alive. A view that no
+    longer fits into the budget is the first of its half next time.
     """
 
     def __init__(
@@ -25,12 +29,13 @@ class Pump:
         parent: QObject,
         pull: Callable[[], bool],
         *,
+        hold: Callable[[], bool] = lambda: False,
         now_s: Callable[[], float] = time.perf_counter,
         budget_s: float = BUDGET_S,
     ) -> None:
-        self._pull, self._now_s, self._budget_s = pull, now_s, budget_s
-        self._draws: list[Callable[[], None]] = []
-        self._next = 0
+        self._pull, self._hold = pull, hold
+        self._now_s, self._budget_s = now_s, budget_s
+        self._turns: tuple[deque[Callable[[], None]], ...] = tuple(deque() for _ in range(TURNS))
         self.ticks = 0
         self._timer = QTimer(parent)
         self._timer.setTimerType(Qt.TimerType.PreciseTimer)
@@ -38,8 +43,8 @@ class Pump:
         self._timer.timeout.connect(self.tick)
 
     def add(self, draw: Callable[[], None]) -> None:
-        """Draw this view on every tick that has time for it."""
-        self._draws.append(draw)
+        """Draw this view on every other tick; neighbours take turns."""
+        min(self._turns, key=len).append(draw)
 
     def start(self) -> None:
         """Begin to tick."""
@@ -50,14 +55,17 @@ class Pump:
         self._timer.stop()
 
     def tick(self) -> None:
-        """Run one tick now."""
+        """Run one tick now; nothing is done while ``hold`` asks for quiet."""
+        if self._hold():
+            return
+        views = self._turns[self.ticks % TURNS]
         self.ticks += 1
         deadline = self._now_s() + self._budget_s
         while self._pull() and self._now_s() < deadline:
             pass
-        for _ in range(len(self._draws)):
-            draw = self._draws[self._next]
-            self._next = (self._next + 1) % len(self._draws)
+        for _ in range(len(views)):
+            draw = views[0]
+            views.rotate(-1)
             draw()
             if self._now_s() >= deadline:
                 break

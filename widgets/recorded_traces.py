@@ -24,6 +24,9 @@ NAMES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 Drawn = tuple[TraceSheet, QImage]
 """A sheet that was drawn ahead, and its picture."""
 
+FONTS, GAP_PX = (0.85, 0.75, 0.68), 8
+"""Sizes of the readings at the cursor: the first for which there is room."""
+
 
 class RecordedTraces(QWidget):
     """Draws the chosen channels on one plot; ``seek`` is told the time that was clicked."""
@@ -119,13 +122,17 @@ class RecordedTraces(QWidget):
         x = area.x(min(max(self.cursor_s, area.x0), area.x1))
         painter.setPen(QPen(t.colour("text"), 1))
         painter.drawLine(QPointF(x, area.rect.top()), QPointF(x, area.rect.bottom()))
-        painter.setFont(ui_font(self._theme.scale, 0.85, 500))
         values, left = self.at_cursor(), area.rect.left()
-        for channel in self.channels:
-            text = _reading(channel, values[channel])
+        texts = [_reading(channel, values[channel]) for channel in self.channels]
+        room = self.width() - left - GAP_PX * len(texts)
+        for size in FONTS:
+            painter.setFont(ui_font(self._theme.scale, size, 500))
+            if sum(painter.fontMetrics().horizontalAdvance(text) for text in texts) <= room:
+                break
+        for channel, text in zip(self.channels, texts, strict=True):
             painter.setPen(sheet.colour(channel))
             painter.drawText(QPointF(left, area.rect.top() - 5), text)
-            left += painter.fontMetrics().horizontalAdvance(text) + 8
+            left += painter.fontMetrics().horizontalAdvance(text) + GAP_PX
 
 
 def _reading(channel: int, value: float) -> str:

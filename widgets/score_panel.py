@@ -91,8 +91,8 @@ def _mark(painter: QPainter, theme: Theme, at: QPointF, outcome: Outcome | None)
 class ScorePanel(Panel):
     """Placed k of n, the rate with its 95 % interval, and the marks."""
 
-    def __init__(self, theme: Theme) -> None:
-        super().__init__("Trials")
+    def __init__(self, theme: Theme, title: str = "Trials") -> None:
+        super().__init__(title)
         self._count = label("0 of 0 placed", "figure")
         self._rate = label("", "small")
         self._marks = OutcomeMarks(theme)
@@ -119,5 +119,14 @@ class ScorePanel(Panel):
             rate = f"{share:.0f} % success, 95 % interval {low:.0f} to {high:.0f} %"
         self._rate.setText(rate)
         self._rate.setVisible(bool(rate))
+        self._marks.show()
         self._marks.show_outcomes(score.outcomes, score.trials)
         self._last.setText(score.last or "Every trial ends with one mark.")
+
+    def show_facts(self, headline: str, text: str) -> None:
+        """Show what a recording without trials is: one line large, the others small."""
+        self._count.setText(headline)
+        self.detail.setText("")
+        self._marks.hide()
+        self._rate.hide()
+        self._last.setText(text)

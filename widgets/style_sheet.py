@@ -93,12 +93,22 @@ QAbstractSpinBox QLineEdit {{ border: none; padding: 0; background: transparent;
     min-height: 0; }}
 QComboBox[role="compact"] {{ padding: 0 6px; min-height: 18px; font-size: {small}pt; }}
 
+QSpinBox[role="compact"] {{ padding: 0 4px; min-height: 18px; font-size: {small}pt; }}
+QSpinBox[role="compact"]::up-button, QSpinBox[role="compact"]::down-button {{ width: 0; }}
+QSpinBox[role="compact"]::up-arrow, QSpinBox[role="compact"]::down-arrow {{ image: none; }}
+
 QSlider::groove:horizontal {{ height: 4px; background: {hairline}; border-radius: 2px; }}
 QSlider::sub-page:horizontal {{ background: {focus}; border-radius: 2px; }}
 QSlider::handle:horizontal {{ width: 14px; margin: -6px 0; background: {raised};
     border: 2px solid {border}; border-radius: 4px; }}
 QSlider::handle:horizontal:focus {{ border-color: {focus}; }}
 
+QSplitter#columns::handle {{ background: transparent; }}
+QSplitter#columns::handle:enabled {{ background: {hairline}; border-radius: 3px; }}
+QSplitter#columns::handle:enabled:hover, QSplitter#columns::handle:enabled:focus {{
+    background: {focus}; }}
+QMenu::item:disabled {{ color: {disabled}; }}
+QMenu::separator {{ height: 1px; background: {hairline}; margin: 4px 8px; }}
 QMenu {{ background: {raised}; color: {text}; border: 1px solid {border}; padding: 4px; }}
 QMenu::item {{ padding: 5px 24px 5px 12px; border-radius: 4px; }}
 QMenu::item:selected {{ background: {selection}; color: {selection_text}; }}

@@ -48,13 +48,15 @@ class TargetForm:
     origin_y_mm: float = 0.0
     check_origin: bool = False
     ask: bool = True
+    hand_over: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class TargetButtons:
     """Which buttons may be pressed. ``go_on``: what the last campaign still lacks, "" if nothing.
 
-    ``why_not`` is why nothing can be started.
+    ``why_not`` is why nothing can be started; ``in_contact``: a lift would help. ``ask``: what the
+    run waits to be confirmed.
     """
 
     start: bool
@@ -63,6 +65,8 @@ class TargetButtons:
     paused: bool
     go_on: str = ""
     why_not: str = ""
+    in_contact: bool = False
+    ask: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +79,8 @@ class TargetIntents:
     end: Callable[[], None]
     person: Callable[[str], None]
     take_origin: Callable[[], None]
+    origin_here: Callable[[], None]
+    lift: Callable[[], None]
     pair: Callable[[], None]
 
 
@@ -90,15 +96,17 @@ class TargetPanel(Panel):
         self.origin = (QDoubleSpinBox(), QDoubleSpinBox())
         self.check_origin = QCheckBox("Feel the edges after every mounting")
         self.ask = QCheckBox("Wait for an answer after each probe")
+        self.hand_over = QCheckBox("Hand the piece over (no jig)")
         self.residual = label("", "small", wrap=True)
-        self.take = QPushButton("Move the origin there")
-        self.why_not = label("", "small", wrap=True)
+        self.here, self.take = QPushButton("Set where the arm is"), QPushButton("Move there")
+        self.why_not, self.lift = label("", "small", wrap=True), QPushButton("Lift 5 mm")
         self.start, self.go_on = QPushButton("Start collecting"), QPushButton("Go on")
         self.pause, self.end = QPushButton("Pause"), QPushButton("End")
         self.bar, self.eta = QProgressBar(), label("", "small")
         self._fields: tuple[QWidget, ...] = (
             self.piece, self.bottom, self.within, self.pattern, self.count, self.per_grip,
-            self.seed, self.person, *self.origin, self.check_origin, self.ask,
+            self.seed, self.person, *self.origin, self.check_origin, self.ask, self.hand_over,
+            self.here,
         )  # fmt: skip
         self._limits()
         self._tips()
@@ -143,7 +151,10 @@ class TargetPanel(Panel):
             (self.origin[1], "Origin y", "Centre of the bottom for the arm, along y (mm)"),
             (self.check_origin, "Check the origin", "Feel all four edges with the held piece"),
             (self.ask, "Ask after every probe", "Nothing moves until one key answers"),
+            (self.hand_over, "Hand over", "You hold the piece between the jaws and take it back"),
+            (self.here, "Set the origin where the arm is", "Jog it over the centre of the bottom"),
             (self.take, "Move the origin there", "Add the residual to the origin for new probes"),
+            (self.lift, "Lift", "Rise by 5 mm, so that a campaign can start"),
             (self.end, "End the campaign for now", "Lift, settle what was probed, end"),
             (self.bar, "Progress", "Accepted probes of the campaign"),
         ):
@@ -178,16 +189,24 @@ class TargetPanel(Panel):
                 field.setSizeAdjustPolicy(
                     QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
                 )
-            if not isinstance(field, QCheckBox):
+            if not isinstance(field, QCheckBox | QPushButton):
                 field.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         buttons = QHBoxLayout()
         for button in (self.go_on, self.pause, self.end):
             buttons.addWidget(button, 1)
-        for widget in (self.check_origin, self.residual, self.take, self.ask, rule()):
-            self.column.addWidget(widget)
+        origins = QHBoxLayout()
+        for button in (self.here, self.take):
+            origins.addWidget(button, 1)
         self.column.insertLayout(1, form)
-        self.column.addWidget(self.start)
-        self.column.addWidget(self.why_not)
+        self.column.addLayout(origins)
+        for widget in (
+            self.residual, self.check_origin, self.hand_over, self.ask, rule(), self.start,
+        ):  # fmt: skip
+            self.column.addWidget(widget)
+        waiting = QHBoxLayout()
+        waiting.addWidget(self.why_not, 1)
+        waiting.addWidget(self.lift)
+        self.column.addLayout(waiting)
         self.column.addLayout(buttons)
         self.column.addWidget(self.bar)
         self.column.addWidget(self.eta)
@@ -199,6 +218,8 @@ class TargetPanel(Panel):
         self.pause.clicked.connect(intents.pause)
         self.end.clicked.connect(intents.end)
         self.take.clicked.connect(intents.take_origin)
+        self.here.clicked.connect(intents.origin_here)
+        self.lift.clicked.connect(intents.lift)
         self.person.editingFinished.connect(lambda: intents.person(self.person.text()))
         for combo in (self.piece, self.bottom):
             combo.currentIndexChanged.connect(intents.pair)
@@ -232,6 +253,7 @@ class TargetPanel(Panel):
         self.origin[1].setValue(form.origin_y_mm)
         self.check_origin.setChecked(form.check_origin)
         self.ask.setChecked(form.ask)
+        self.hand_over.setChecked(form.hand_over)
 
     def form(self) -> TargetForm:
         """Return what is filled in; without a catalogue, the pair that was asked for last."""
@@ -247,14 +269,19 @@ class TargetPanel(Panel):
             origin_y_mm=self.origin[1].value(),
             check_origin=self.check_origin.isChecked(),
             ask=self.ask.isChecked(),
+            hand_over=self.hand_over.isChecked(),
         )
 
     def show_buttons(self, buttons: TargetButtons) -> None:
-        """Enable what is allowed now; a disabled Start says why."""
-        self.start.setEnabled(buttons.start)
-        self.why_not.setText(f"{buttons.why_not}." if buttons.why_not else "")
-        self.why_not.setVisible(bool(buttons.why_not))
-        self.start.setToolTip(buttons.why_not or "Begin a new campaign (F5)")
+        """Enable what is allowed now; a disabled Start says why, and it confirms what waits."""
+        self.start.setEnabled(buttons.start or bool(buttons.ask))
+        self.start.setText("Confirm" if buttons.ask else "Start collecting")
+        said = buttons.ask or (f"{buttons.why_not}." if buttons.why_not else "")
+        self.why_not.setText(said)
+        self.why_not.setVisible(bool(said))
+        tip = "My hand is there (F5)" if buttons.ask else "Begin a new campaign (F5)"
+        self.start.setToolTip(buttons.why_not or tip)
+        self.lift.setVisible(buttons.in_contact)
         self.go_on.setEnabled(buttons.start and bool(buttons.go_on))
         self.go_on.setToolTip(buttons.go_on or "No campaign is left to go on with")
         self.pause.setEnabled(buttons.pause)

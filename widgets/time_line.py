@@ -122,5 +122,9 @@ class TimeLine(QWidget):
         step = nice_step(area.x1 - area.x0, 8)
         top, height = area.rect.bottom() + 2, painter.fontMetrics().height()
         for value in ticks(area.x0, area.x1, 8):
-            box = QRectF(area.x(value) - 30, top, 60, height)
-            painter.drawText(box, int(Qt.AlignmentFlag.AlignHCenter), f"{tick_text(value, step)} s")
+            text = f"{tick_text(value, step)} s"
+            width = painter.fontMetrics().horizontalAdvance(text) + 2.0
+            # The outermost times stay whole inside the widget.
+            left = min(max(area.x(value) - width / 2, 0.0), self.width() - width)
+            box = QRectF(left, top, width, height)
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignHCenter), text)

@@ -6,7 +6,15 @@ from collections.abc import Callable
 
 from PySide6.QtCore import QSize, Qt
 from PySide6.QtGui import QColor, QResizeEvent
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QSizePolicy, QVBoxLayout, QWidget
+from PySide6.QtWidgets import (
+    QFrame,
+    QHBoxLayout,
+    QPushButton,
+    QSizePolicy,
+    QSpinBox,
+    QVBoxLayout,
+    QWidget,
+)
 
 from widgets.device_chip import DeviceChip
 from widgets.icons import icon
@@ -14,7 +22,9 @@ from widgets.panel import label
 from widgets.state_pill import StatePill
 from widgets.theme import Theme
 
-MARGIN, GAP = 10, 10
+MARGIN, GAP, CHIP_GAP = 10, 10, 4
+OVERRIDE = (10, 100)
+"""Percent, least and most."""
 USUAL_MODE = "Robot: Program"
 CHIPS = (
     ("arm", "Arm"),
@@ -35,6 +45,20 @@ class TopBar(QFrame):
         self._robot = label("Robot: unknown", "small")
         self._safety = label("Safety: unknown", "small")
         self.chips = {key: DeviceChip(theme, name) for key, name in CHIPS}
+        self.override = QSpinBox()
+        self.override.setRange(*OVERRIDE)
+        self.override.setValue(OVERRIDE[1])
+        self.override.setSingleStep(10)
+        self.override.setSuffix(" %")
+        self.override.setKeyboardTracking(False)
+        self.override.setAccessibleName("Speed override")
+        self.override.setToolTip(
+            "OVRD: share of the speed of every move in air, by hand and in runs. "
+            "A press keeps its own speed."
+        )
+        self.override.setProperty("role", "compact")
+        self._override_title = label("OVRD", "small")
+        self._override_title.setBuddy(self.override)
         self._estop_title = label("HW E-stop", "small")
         self._estop = label("unknown", "small")
         self.stop = QPushButton("STOP motion (software)")
@@ -67,9 +91,11 @@ class TopBar(QFrame):
         self._devices = QWidget()
         chips = QHBoxLayout(self._devices)
         chips.setContentsMargins(0, 0, 0, 0)
-        chips.setSpacing(6)
+        chips.setSpacing(CHIP_GAP)
         for chip in self.chips.values():
             chips.addWidget(chip)
+        chips.addSpacing(GAP - CHIP_GAP)
+        chips.addLayout(_two(self._override_title, self.override))
         row.insertWidget(2, self._devices)
         self._second = QHBoxLayout()
         column.addLayout(self._second)
@@ -113,7 +139,10 @@ class TopBar(QFrame):
         modes = max(self._robot.sizeHint().width(), self._safety.sizeHint().width())
         estop = max(self._estop_title.sizeHint().width(), self._estop.sizeHint().width())
         fixed = self.pill.sizeHint().width() + modes + estop + self.stop.sizeHint().width()
-        return fixed + sum(c.sizeHint().width() + 6 for c in chips) + 5 * GAP + 2 * MARGIN
+        if chips:
+            override = (self._override_title.sizeHint().width(), self.override.sizeHint().width())
+            fixed += GAP + max(override)
+        return fixed + sum(c.sizeHint().width() + CHIP_GAP for c in chips) + 5 * GAP + 2 * MARGIN
 
     def show_modes(self, robot: str, safety: str) -> None:
         """Show both status words of the arm."""
@@ -130,7 +159,7 @@ class TopBar(QFrame):
         self.fit()
 
 
-def _two(upper: QFrame, lower: QFrame) -> QVBoxLayout:
+def _two(upper: QWidget, lower: QWidget) -> QVBoxLayout:
     column = QVBoxLayout()
     column.setSpacing(0)
     column.addStretch(1)

@@ -25,7 +25,7 @@ def words_of(held: Held | None, *, asking: bool, running: bool, back: bool) -> P
     return ProbeWords(
         verdict,
         tone,
-        f"x, y {pair_words(held.offset_mm)} mm, item {_item(held)}, {entry.uuid[-8:]}",
+        f"x, y {pair_words(held.offset_mm, 2, ' mm')}, item {_item(held)}, {entry.uuid[-8:]}",
         _detail(held, back=back, running=running),
         asking,
         _allowed(held, live=running and not back),
@@ -41,6 +41,8 @@ def _detail(held: Held, *, back: bool, running: bool) -> str:
     if not quality.accepted:
         return f"{quality_words(quality)}. It is kept with its reasons and probed again."
     parts = [f"slip {quality.slip_mm:.2f} mm"]
+    if held.commanded_mm is not None:
+        parts.insert(0, f"commanded {pair_words(held.commanded_mm, 2, ' mm')}")
     if held.signals is not None:
         parts.append(f"Fz {held.signals[4]:.1f} N at the end")
     if quality.dropped_frames:

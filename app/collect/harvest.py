@@ -15,7 +15,7 @@ from backend.core.flow import EpisodeQuality, FloatArray
 from backend.dataset.coverage import Coverage, coverage
 from backend.dataset.health import Examined
 from backend.objects.shapes import Outline
-from backend.runs.collect_report import examined
+from backend.runs.collect_report import counts, look_at
 from backend.runs.collected import Signals, last_signals
 from widgets.distribution_view import Bins, DistributionScene, reach_of
 from widgets.episode_table import EpisodeRow
@@ -34,17 +34,20 @@ MOST_READ = 400
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """One probe: its row of the index, where it was, and its signals if they were read."""
+    """One probe: its row of the index and where it was; if it was read, where it was meant to go
+    and its signals.
+    """
 
     entry: EpisodeEntry
     offset_mm: tuple[float, float]
+    commanded_mm: tuple[float, float] | None = None
     seen: Examined | None = None
     signals: Signals | None = None
 
     @property
     def counts(self) -> bool:
-        """Whether it is an observation that nobody discarded."""
-        return self.entry.quality.accepted and not self.entry.deleted
+        """Whether it covers its place."""
+        return counts(self.entry)
 
 
 def read_probe(dataset: Dataset, entry: EpisodeEntry, *, signals: bool) -> Held:
@@ -54,10 +57,15 @@ def read_probe(dataset: Dataset, entry: EpisodeEntry, *, signals: bool) -> Held:
     if not signals or entry.deleted:
         return held
     try:
-        (seen,) = examined(dataset, [entry])
+        found = look_at(dataset, entry)
     except InputError:
         return held
-    return replace(held, seen=seen, signals=last_signals(seen.observation))
+    return replace(
+        held,
+        commanded_mm=found.commanded_mm,
+        seen=found.examined,
+        signals=last_signals(found.examined.observation),
+    )
 
 
 def read_pair(dataset: Dataset, piece: str, bottom: str) -> list[Held]:
@@ -87,7 +95,12 @@ class Harvest:
         """Take a probe, or a later state of one."""
         before = self._held.get(held.entry.uuid)
         if before is not None and held.seen is None:
-            held = replace(held, seen=before.seen, signals=before.signals)
+            held = replace(
+                held,
+                commanded_mm=before.commanded_mm,
+                seen=before.seen,
+                signals=before.signals,
+            )
         self._held[held.entry.uuid] = held
         self._coverage = None
 
@@ -186,7 +199,9 @@ def quality_words(quality: EpisodeQuality) -> str:
     return "ok" if quality.accepted else "; ".join(quality.reasons) or "refused"
 
 
-def pair_words(at_mm: tuple[float, float]) -> str:
-    """Write a displacement such as "+1.5, +0.3"."""
-    x, y = (f"{v:+.1f}".replace("-", "\N{MINUS SIGN}") for v in at_mm)
-    return f"{x}, {y}"
+def pair_words(at_mm: tuple[float, float], digits: int = 1, unit: str = "") -> str:
+    """Write a displacement such as "+1.5, +0.3"; "none" for a probe that has none."""
+    if not np.isfinite(at_mm).all():
+        return "none"
+    x, y = (f"{v:+.{digits}f}".replace("-", "\N{MINUS SIGN}") for v in at_mm)
+    return f"{x}, {y}{unit}"

@@ -26,6 +26,7 @@ def request_of(form: TargetForm, person: str, *, campaign: str = "") -> CollectR
         campaign=campaign,
         ask=form.ask,
         probes_per_grip=form.probes_per_grip,
+        hand_over=form.hand_over,
     )
 
 

@@ -98,7 +98,7 @@ class CollectWorkspace(Workspace):
 
     def memory(self) -> Memory:
         """Return what both halves remember."""
-        note = self.presenter.note
+        note = self.presenter.origin.note
         return {
             **self.label.memory(),
             "half": self.page.front,
@@ -124,7 +124,7 @@ class CollectWorkspace(Workspace):
         else:
             dropped.append("signal")
         try:
-            self.presenter.show_note(note_of(memory.get("origin")))
+            self.presenter.origin.show_note(note_of(memory.get("origin")))
         except ValueError:
             dropped.append("origin")
         if half in TITLES:
@@ -182,7 +182,7 @@ class CollectWorkspace(Workspace):
         self.collect_page.setFocus()
         self.label.open()
         self._look()
-        self.presenter.restyle()
+        self.presenter.probes.restyle()
 
     def _show_other_half(self) -> None:
         self.page.show_half(COLLECT if self.page.front == LABEL else LABEL)
@@ -202,15 +202,17 @@ class CollectWorkspace(Workspace):
             end=lambda: self.presenter.end(),
             person=self._be,
             take_origin=lambda: self.presenter.take_origin(),
+            origin_here=lambda: self.presenter.set_origin_here(),
+            lift=lambda: self.presenter.lift(),
             pair=lambda: self.presenter.choose_pair(),
         )
         return CollectIntents(
             target,
             decide=self._decide,
-            choose_dot=lambda index: self.presenter.choose_dot(index),
-            choose_row=lambda uuid: self.presenter.choose(uuid),
-            signal=lambda _: self.presenter.restyle(),
-            deleted=lambda _: self.presenter.restyle(),
+            choose_dot=lambda index: self.presenter.probes.choose_dot(index),
+            choose_row=lambda uuid: self.presenter.probes.choose(uuid),
+            signal=lambda _: self.presenter.probes.restyle(),
+            deleted=lambda _: self.presenter.probes.restyle(),
         )
 
     def _decide(self, name: str) -> None:

@@ -45,7 +45,7 @@ class Decisions:
         if not now.edit.label.is_set:
             self._on.refuse("There is no displacement yet: type one as x,y, or nudge.")
             return
-        self._on.trusted(self._submit)
+        self._on.editing.trusted(self._submit)
 
     def _submit(self) -> None:
         now, book, person = self._on.present, self._on.book, self._on.sitting.person
@@ -63,7 +63,7 @@ class Decisions:
         if now is None or not now.edit.label.is_set:
             self._on.refuse("Set the displacement as you see it: x,y or the arrows.")
         else:
-            self._on.trusted(self._keep_opinion)
+            self._on.editing.trusted(self._keep_opinion)
 
     def _keep_opinion(self) -> None:
         now, book, person = self._on.present, self._on.book, self._on.sitting.person

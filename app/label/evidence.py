@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from app.label.edit import Edit, as_pair
 from app.label.item import LabelItem
+from app.label.words import models_words
 from backend.catalogue.values import Revision
 from backend.placement.offset_fit import NOTABLE_SIGMAS, OffsetFit, sigmas_apart
 from widgets.offset_scene import Ghost, offset_in_words
@@ -27,14 +29,25 @@ def from_scene(edit: Edit, item: LabelItem) -> float | None:
     return None if seen is None else _apart(edit, seen)
 
 
+def from_others(edit: Edit, item: LabelItem) -> float | None:
+    """Return how many deviations the signals are likelier elsewhere; None: this was not judged."""
+    if item.doubt is None or edit.changed or item.doubt[0] != edit.base.rev_uuid:
+        return None
+    return math.sqrt(item.doubt[1])
+
+
 def badges_of(edit: Edit, item: LabelItem) -> tuple[str, ...]:
     """Return the badge of a notable difference from the surest evidence, if there is one.
 
-    Where the camera measured the face the model is not asked: it errs by more than a millimetre.
+    Where the camera measured the face nothing else is asked: it is ten times as sure. Next come
+    the other episodes of the pair, where the dataset was scored: they tell how far the model errs
+    at this place. The model alone is asked last.
     """
     name, distance = "scene", from_scene(edit, item)
     if distance is None and (item.scene is None or item.scene.place is None):
-        name, distance = "model", from_model(edit, item)
+        name, distance = "signals", from_others(edit, item)
+        if distance is None:
+            name, distance = "model", from_model(edit, item)
     if distance is None or distance <= NOTABLE_SIGMAS:
         return ()
     return (f"{name} {distance:.1f} \N{GREEK SMALL LETTER SIGMA} off",)
@@ -81,7 +94,9 @@ def model_words(edit: Edit, item: LabelItem, *, hidden: bool) -> str:
     if model is None:
         return "No model of this piece, or it cannot judge this episode."
     where = offset_in_words(model.fit.offset_mm, model.fit.sigma_mm)
-    return f"Model {model.weights_sha256[:8]}: {where}{_far(from_model(edit, item))} (M)"
+    name = models_words(model.weights).capitalize()
+    spread = f", they differ by {model.spread_mm:.2f} mm" if "+" in model.weights else ""
+    return f"{name}: {where}{spread}{_far(from_model(edit, item))} (M)"
 
 
 def _apart(edit: Edit, other: OffsetFit) -> float | None:

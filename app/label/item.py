@@ -54,16 +54,20 @@ class Ahead:
 
 @dataclass(frozen=True, slots=True)
 class ModelLabel:
-    """What the model makes of an episode. ``weights_sha256`` names the model for ever."""
+    """What the models make of an episode; ``spread_mm`` between them.
+
+    ``weights``: hashes that name them for ever, joined by ``+``.
+    """
 
     fit: OffsetFit
     entropy: float
-    weights_sha256: str
+    weights: str
+    spread_mm: float = 0.0
 
     @property
     def source(self) -> str:
         """The source under which such a label is kept."""
-        return f"model:{self.weights_sha256}"
+        return f"model:{self.weights}"
 
 
 class Prelabel(Protocol):
@@ -88,6 +92,8 @@ class LabelItem:
     model: ModelLabel | None
     bytes: int
     scene: SceneEvidence | None = None
+    doubt: tuple[str, float] | None = None
+    """Revision that was judged by the other episodes of its pair, and the score ``doubt``."""
     ahead: Ahead | None = None
 
     @property
@@ -112,6 +118,7 @@ def reader(
         film = dataset.film(uuid)
         pair = dataset.geometry.pair(entry.geometry)
         item = make_item(entry, film, pair, prelabel(film.episode, pair), outlines(pair))
+        item = replace(item, doubt=dataset.scores.of_revision("doubt", uuid))
         return drawn_ahead(item, sheets())
 
     return read

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,14 +38,22 @@ def opener(folder: Path, person: str) -> Callable[[], Opened]:
         if not read_only and not dataset.writable:
             read_only = "The dataset was written by a newer version."
         catalogue = load_catalogue()
-        return Opened(dataset, Prelabeller(catalogue, model_of), catalogue, read_only)
+        return Opened(dataset, Prelabeller(catalogue, models_of), catalogue, read_only)
 
     return open_dataset
 
 
-def model_of(piece: str) -> Path | None:
-    """Return the model in use for ``piece``, or None."""
+def models_of(piece: str) -> Sequence[Path]:
+    """Return the models that pre-label ``piece``: those chosen for it, else the one in use."""
     try:
-        return model_in_use(piece, Registry(models_folder()))
+        return Registry(models_folder()).ensemble(piece) or model_of(piece)
     except InputError:
-        return None
+        return ()
+
+
+def model_of(piece: str) -> Sequence[Path]:
+    """Return the model in use for ``piece``, if there is one."""
+    try:
+        return (model_in_use(piece, Registry(models_folder())),)
+    except InputError:
+        return ()

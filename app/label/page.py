@@ -17,6 +17,7 @@ from PySide6.QtWidgets import (
 )
 
 from app.label.bulk_form import BulkForm
+from app.label.health_panel import HealthPanel
 from app.label.item import Sheets
 from app.label.side import SideTabs
 from app.label.words import QUEUES
@@ -57,6 +58,8 @@ class LabelIntents:
     tab: Callable[[int], None]
     preview: Callable[[], None]
     apply: Callable[[], None]
+    look: Callable[[], None]
+    finding: Callable[[int], None]
 
 
 class Entry(QLineEdit):
@@ -104,7 +107,8 @@ class LabelPage(QWidget):
         self.queue.setAccessibleName("Queue")
         self.list = LabelList(theme, intents.choose_row)
         self.bulk = BulkForm(intents.preview, intents.apply)
-        self.side = SideTabs(intents.restore, intents.search, intents.tab, self.bulk)
+        self.health = HealthPanel(intents.look, intents.finding)
+        self.side = SideTabs(intents.restore, intents.search, intents.tab, self.bulk, self.health)
         self.strip = StateStrip(theme)
         self.view = OffsetView(theme, intents.move, intents.drop)
         self.verdict, self.basis = ElidedLabel("head"), ElidedLabel("muted")
@@ -201,6 +205,16 @@ class LabelPage(QWidget):
         for view in (self.forces, self.moments, self.phase):
             view.show_cursor(t_s)
         self.film_panel.detail.setText(f"{t_s:+.2f} s".replace("-", "\N{MINUS SIGN}"))
+
+    def show_queue(self, name: str, title: str = "") -> None:
+        """Show which queue is chosen; one that is no standing queue is named by ``title``."""
+        at = self.queue.findData(name)
+        if at < 0:
+            at = self.queue.count()
+            self.queue.addItem("", name)
+        if title:
+            self.queue.setItemText(at, title)
+        self.queue.setCurrentIndex(at)
 
     def sheets(self) -> Sheets:
         """Return what curves are drawn on at the present size and theme."""

@@ -6,68 +6,33 @@ is done. What cannot be saved stays in sight and blocks the way on.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-
-from PySide6.QtCore import QTimer
+from dataclasses import replace
 
 from app.label import show
 from app.label.commits import Commits
-from app.label.edit import Edit, parse
+from app.label.edit import Edit
+from app.label.editing import Editing
 from app.label.evidence import badges_of
-from app.label.item import LabelItem, Prelabel, Sheets, reader
+from app.label.item import Prelabel, Sheets, reader
 from app.label.looking import LookClock
 from app.label.page import LabelPage
 from app.label.post import Post
 from app.label.prefetch import Prefetch
 from app.label.saving import Intent, Saving
-from app.label.sigma import ask_sigma
+from app.label.sitting import Chosen, Present, Sitting
 from app.label.walk import Queue, Walk, read_queue
-from app.label.words import clock, history_rows
+from app.label.words import FINDING, clock, history_rows
 from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import Looked, Revision
-from widgets.offset_scene import Point
+from backend.catalogue.values import Looked
 
-NUDGES_MS = 500
 EMPTY = {
-    "unlabelled": "Nothing to label. Collect episodes first: touchdown collect.",
+    "unlabelled": "Nothing is left to label: collect more, or choose another queue (Ctrl+J).",
     "review": "Nothing waits for your review.",
     **dict.fromkeys(
-        ("disagreement", "uncertainty", "duplicates"),
+        ("doubt", "disagreement", "uncertainty", "duplicates"),
         "Nothing was scored yet: Ctrl+M lets the model score the dataset.",
     ),
 }
-
-
-@dataclass(slots=True)
-class Sitting:
-    """Who labels, and how. ``sigma_mm``: what the person last said of their own displacements."""
-
-    person: str = ""
-    queue: str = "unlabelled"
-    seed: int = 0
-    sigma_mm: float | None = None
-    blind: bool = False
-    hidden: bool = False
-
-    @property
-    def opines(self) -> bool:
-        """Whether answers are opinions for the figures of agreement: no label changes."""
-        return self.queue == "gold" or (self.blind and self.queue == "audit")
-
-    @property
-    def hides(self) -> bool:
-        """Whether model and other sources are out of sight."""
-        return self.blind or self.hidden or self.opines
-
-
-@dataclass(slots=True)
-class Present:
-    """The episode in front."""
-
-    item: LabelItem
-    edit: Edit
-    history: list[Revision] = field(default_factory=list)
 
 
 class LabelPresenter:
@@ -86,37 +51,27 @@ class LabelPresenter:
         self.sitting = sitting
         self.present: Present | None = None
         self.saving = Saving(commits, self.refuse, self._show_saving)
+        self.editing = Editing(self, page, self.book, sitting, self.saving)
         self._sheets: Sheets | None = None
         read = reader(dataset, prelabel, lambda: self._sheets)
         self._prefetch = Prefetch(read, post, self._arrived)
         self.walk = Walk(page.list, self._prefetch)
         self.clock = LookClock()
         self._news = ""
-        self._nudging = QTimer(page)
-        self._nudging.setSingleShot(True)
-        self._nudging.setInterval(NUDGES_MS)
-        self._nudging.timeout.connect(self._nudged)
-
-    @property
-    def nudging(self) -> bool:
-        """Whether an edit waits for the end of the nudges."""
-        return self._nudging.isActive()
 
     def close(self) -> None:
         """End the reading ahead; an edit that waits is saved first."""
-        if self._nudging.isActive():
-            self._nudging.stop()
-            self._save_edit()
+        if self.editing.waits:
+            self.editing.save()
         self._prefetch.close()
 
     # -- the queue --------------------------------------------------------------------------------
 
     def read_queue(self, *, stay: bool = True) -> None:
         """Read the chosen queue anew; ``stay``: the present episode stays in front if it can."""
-        s, here = self.sitting, (self.walk.uuid or "") if stay else ""
+        sitting, here = replace(self.sitting), (self.walk.uuid or "") if stay else ""
         self.saving.save(
-            lambda: read_queue(self.dataset, s.queue, s.person, s.seed),
-            lambda queue: self._take_queue(queue, here),
+            lambda: read_queue(self.dataset, sitting), lambda queue: self._take_queue(queue, here)
         )
 
     def read_with_news(self, text: str) -> None:
@@ -124,10 +79,26 @@ class LabelPresenter:
         self._news = text
         self.flushed(self.read_queue)
 
+    def read_anew(self, text: str) -> None:
+        """Read the episodes themselves anew: other models judge them."""
+
+        def again() -> None:
+            self.present = None
+            self._prefetch.forget()
+            self.read_with_news(text)
+
+        self.flushed(again)
+
     def choose_queue(self, name: str) -> None:
         """Change to another queue, and begin with its first."""
         self.sitting.queue = name
         self.flushed(lambda: self.read_queue(stay=False))
+
+    def open_chosen(self, chosen: Chosen) -> None:
+        """Walk through these episodes, each with what is said of it."""
+        self.sitting.chosen = chosen
+        self._page.show_queue(FINDING, chosen.title)
+        self.choose_queue(FINDING)
 
     def _take_queue(self, queue: Queue, stay: str) -> None:
         self.walk.begin(*queue, stay)
@@ -183,14 +154,11 @@ class LabelPresenter:
             return
         self.clock.restart()
         self._sheets = self._page.sheets()
-        self._page.say(self._news)
+        self._page.say(self._news or self._said_of_present())
         self._news = ""
         if isinstance(ready, Exception):
             self.present = None
-            self._page.view.show_nothing("None is in front.")
-            self._page.film.show_reel({}, (0.0, 2.0), 0.0)
-            self._page.shots.show_shots(())
-            self._page.verdict.setText("")
+            show.show_none(self._page)
             if self.walk.uuid is None:
                 self._page.say(EMPTY.get(self.sitting.queue, "This queue is empty."))
             else:
@@ -201,6 +169,11 @@ class LabelPresenter:
         self.present = Present(ready, self._begin(uuid), self.book.history(uuid))
         show.show_item(self._page, ready)
         self._show_label()
+
+    def _said_of_present(self) -> str:
+        s = self.sitting
+        of = s.chosen.said if s.queue == FINDING and s.chosen is not None else {}
+        return of.get(self.walk.uuid or "", "")
 
     def _begin(self, uuid: str) -> Edit:
         head = self.book.head(uuid)
@@ -256,10 +229,7 @@ class LabelPresenter:
 
     def refuse(self, reason: str) -> None:
         """Say why something was not done; the edit goes back to what holds."""
-        if self.present is not None:
-            self._nudging.stop()
-            self.present.edit = Edit.of(self.present.edit.base)
-            self.show_edit()
+        self.editing.give_up()
         self._page.say(reason, bad=True)
 
     # -- edits ------------------------------------------------------------------------------------
@@ -274,102 +244,7 @@ class LabelPresenter:
 
     def flushed(self, intent: Intent) -> None:
         """Do something after the present edit was saved."""
-        self.do(lambda: self._save_edit(intent))
-
-    def nudge(self, dx_um: int, dy_um: int) -> None:
-        """Move the face by whole µm; nudges within half a second are one revision."""
-        self.do(lambda: self._change(lambda edit: edit.nudged(dx_um, dy_um)))
-
-    def _nudged(self) -> None:
-        """Save what was nudged; no question comes between while something is being typed."""
-        if self._page.typing and self.sitting.sigma_mm is None:
-            self._nudging.start()
-        else:
-            self.do(self._save_edit)
-
-    def place(self, at_mm: Point) -> None:
-        """Move the face to a place (while it is dragged)."""
-        self.do(lambda: self._change(lambda edit: edit.placed(*at_mm)))
-
-    def drop(self) -> None:
-        """Save what was dragged."""
-        self.do(self._save_edit)
-
-    def typed(self, text: str) -> None:
-        """Set what was typed."""
-        try:
-            x, y, sigma = parse(text)
-        except ValueError as error:
-            self._page.say(str(error), bad=True)
-            return
-        self._page.leave_entry()
-
-        def change(edit: Edit) -> Edit:
-            placed = edit.placed(x, y)
-            return placed if sigma is None else placed.trusted(sigma)
-
-        if sigma is not None:
-            self.sitting.sigma_mm = sigma
-        self.do(lambda: self._change(change))
-        self.do(self._save_edit)
-
-    def take_model(self) -> None:
-        """Take the model's displacement as a draft with the model as its source."""
-        now = self.present
-        if now is None or now.item.model is None or self.sitting.hides:
-            self._page.say("There is no model in sight.", bad=True)
-            return
-        self.do(lambda: self._change(_as_model_says(now.item)))
-        self.do(self._save_edit)
-
-    def _change(self, change: Callable[[Edit], Edit]) -> None:
-        now = self.present
-        if now is None:
-            return
-        now.edit = change(now.edit)
-        self.show_edit()
-        waits = now.edit.changed and not self.sitting.opines
-        self._nudging.start() if waits else self._nudging.stop()
-
-    def _save_edit(self, then: Intent | None = None) -> None:
-        self._nudging.stop()
-        now, then = self.present, then or _nothing
-        if now is None or not now.edit.changed or self.sitting.opines:
-            then()
-            return
-        self.trusted(lambda: self._set(then))
-
-    def _set(self, then: Intent) -> None:
-        now, person = self.present, self.sitting.person
-        if now is None:
-            return
-        uuid, edit = now.item.entry.uuid, now.edit
-
-        def saved(_: Revision) -> None:
-            self.reload()
-            then()
-
-        self.saving.save(lambda: self.book.set(person, uuid, edit.label, source=edit.source), saved)
-
-    def trusted(self, then: Intent) -> None:
-        """Go on once the person has said how sure they are of what they set."""
-        now = self.present
-        if now is None or not now.edit.changed or now.edit.label.sigma_um is not None:
-            then()
-        elif self.sitting.sigma_mm is not None:
-            now.edit = now.edit.trusted(self.sitting.sigma_mm)
-            then()
-        else:
-            self.ask_sigma(lambda: self.trusted(then))
-
-    def ask_sigma(self, then: Intent) -> None:
-        """Ask how sure the person is; asked once a sitting, changed by a key."""
-
-        def take(sigma_mm: float) -> None:
-            self.sitting.sigma_mm = sigma_mm
-            then()
-
-        ask_sigma(self._page, self.sitting.sigma_mm, take)
+        self.do(lambda: self.editing.save(intent))
 
     def reload(self) -> None:
         """Show what the dataset says of the present episode now."""
@@ -383,17 +258,3 @@ class LabelPresenter:
     def looked(self) -> Looked:
         """Return how the person came to the answer."""
         return Looked(self.clock.seen_ms(), self.sitting.hides)
-
-
-def _as_model_says(item: LabelItem) -> Callable[[Edit], Edit]:
-    def change(edit: Edit) -> Edit:
-        model = item.model
-        if model is None:
-            return edit
-        return edit.estimated(*model.fit.offset_mm, model.fit.sigma_mm, model.source)
-
-    return change
-
-
-def _nothing() -> None:
-    """Do nothing more."""

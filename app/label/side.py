@@ -1,4 +1,4 @@
-"""Beside the queue: versions of this label, agreement of people, and the log of all actions."""
+"""Beside the queue: versions of this label, agreement, log, many at once, health of the data."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ from widgets.history_list import HistoryList
 from widgets.panel import Panel, label
 from widgets.wrapped_items import WrappedItems
 
-TABS = ("History", "Agree", "Log", "Bulk")
+TABS = ("History", "Agree", "Log", "Bulk", "Health")
+HEALTH = 4
 
 
 class SideTabs(Panel):
-    """Three views in one place; ``search`` is told what to look for in the log."""
+    """Views in one place; ``search`` is told what to look for in the log."""
 
     def __init__(
         self,
@@ -30,6 +31,7 @@ class SideTabs(Panel):
         search: Callable[[str], None],
         entered: Callable[[int], None],
         bulk: QWidget,
+        health: QWidget,
     ) -> None:
         super().__init__("")
         self.history = HistoryList(restore)
@@ -46,14 +48,14 @@ class SideTabs(Panel):
         column.setContentsMargins(0, 0, 0, 0)
         column.addWidget(self.needle)
         column.addWidget(self.log, 1)
-        for page in (self.history, _top(self.agreement), log, bulk):
+        for page in (self.history, _top(self.agreement), log, bulk, health):
             self._stack.addWidget(page)
         self.column.addWidget(self._stack, 1)
         self._buttons = QButtonGroup(self)
         for number, name in enumerate(TABS):
             button = QPushButton(name)
             button.setCheckable(True)
-            button.setProperty("role", "tab")
+            button.setProperty("role", "choice")
             self._buttons.addButton(button, number)
             self.header.insertWidget(number, button)
         self._buttons.idClicked.connect(self.choose)

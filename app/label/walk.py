@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from app.label.item import LabelItem
 from app.label.prefetch import Prefetch, around
-from app.label.words import row_of
+from app.label.sitting import Sitting
+from app.label.words import FINDING, row_of
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.values import EpisodeEntry
 from backend.core.faults import InputError
@@ -15,9 +16,13 @@ from widgets.label_list import LabelList, LabelRow
 Queue = tuple[list[str], dict[str, EpisodeEntry]]
 
 
-def read_queue(dataset: Dataset, name: str, person: str, seed: int = 0) -> Queue:
+def read_queue(dataset: Dataset, sitting: Sitting) -> Queue:
     """Return the ids of a queue in its order, and their entries; slow, not for the window."""
-    order = dataset.queue(name, person, seed=seed)
+    s = sitting
+    if s.queue == FINDING:
+        order = [] if s.chosen is None else list(s.chosen.said)
+    else:
+        order = dataset.queue(s.queue, s.person, seed=s.seed)
     entries = {entry.uuid: entry for entry in dataset.episodes()}
     return [uuid for uuid in order if uuid in entries], entries
 

@@ -1,8 +1,9 @@
-"""What concerns the whole dataset and takes a while: scoring it with the model, merging a copy."""
+"""What concerns the whole dataset and takes a while: scores, a look at its health, a merge."""
 
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 from app.label.commits import Commits
@@ -10,11 +11,15 @@ from app.label.opening import Opened
 from app.label.page import LabelPage
 from app.label.post import Post
 from app.label.presenter import LabelPresenter
+from backend.catalogue.data_health import DataHealth, look_through
 from backend.catalogue.merge import Merged
-from backend.core.faults import TouchdownError
+from backend.core.faults import InputError, TouchdownError
+from backend.learning.registry import Registry, models_below
 from backend.placement.label_scores import score_labels
+from backend.runs.store import models_folder
 
-TELL_EVERY = 5
+TELL_EVERY = 20
+IN_USE = "-"
 
 
 class WholeDataset:
@@ -27,17 +32,60 @@ class WholeDataset:
         self._jobs, self._ended = Commits(post, "label-jobs"), threading.Event()
 
     def score(self) -> None:
-        """Let the model judge every episode: fills three queues, changes no label."""
+        """Let the model judge every episode: fills four queues, changes no label."""
         if self._jobs.busy:
             self._page.say("This is being done already.")
             return
         self._page.say("Scoring the dataset …")
-        opened = self._opened
+        opened, progress = self._opened, self._teller("Scoring")
         self._jobs.submit(
-            lambda: score_labels(opened.dataset, opened.prelabel.model, self._progress),
+            lambda: score_labels(opened.dataset, opened.prelabel.model, progress),
             self._scored,
             self._failed,
         )
+
+    def look_through(self, done: Callable[[DataHealth], None]) -> None:
+        """Look for what is out of order in any episode."""
+        if self._jobs.busy:
+            self._page.say("Wait until the dataset is looked through or scored.")
+            return
+        self._page.say("Looking through the dataset …")
+        dataset, progress = self._opened.dataset, self._teller("Looking through")
+
+        def looked(health: DataHealth) -> None:
+            self._page.say("")
+            done(health)
+
+        self._jobs.submit(lambda: look_through(dataset, progress), looked, self._failed)
+
+    def choose_models(self) -> None:
+        """Ask which models pre-label the piece in front: those below a folder."""
+        now = self._on.present
+        if now is None:
+            self._page.say("Show an episode of the piece first.", bad=True)
+            return
+        piece = now.item.entry.piece
+        hint = f"Folder of the models that pre-label {piece}, or {IN_USE} for the one in use"
+        self._page.ask_words(hint, "", lambda words: self._choose_models(piece, words))
+
+    def _choose_models(self, piece: str, words: str) -> None:
+        person, registry = self._on.sitting.person, Registry(models_folder())
+
+        def choose() -> int:
+            models = [] if words == IN_USE else models_below(Path(words).expanduser(), piece)
+            if not models and words != IN_USE:
+                raise InputError(f"There is no model of '{piece}'.", words, "Name another folder.")
+            registry.choose_ensemble(piece, models, person)
+            return len(models)
+
+        def chosen(count: int) -> None:
+            self._opened.prelabel.forget()
+            self._on.read_anew(
+                f"{count} models of {piece} pre-label together." if count
+                else f"The model in use pre-labels {piece}."
+            )  # fmt: skip
+
+        self._jobs.submit(choose, chosen, self._failed)
 
     def merge(self) -> None:
         """Ask for the folder of another copy, and bring in what is new there."""
@@ -48,13 +96,19 @@ class WholeDataset:
         self._ended.set()
         self._jobs.close()
 
-    def _progress(self, done: int, count: int) -> bool:
-        if done % TELL_EVERY == 0:
-            self._post.put(lambda: self._page.say(f"Scoring the dataset: {done} of {count}"))
-        return not self._ended.is_set()
+    def _teller(self, doing: str) -> Callable[[int, int], bool]:
+        """Return what tells progress now and then, and ends the job when the window closes."""
+
+        def tell(done: int, count: int) -> bool:
+            if done % TELL_EVERY == 0:
+                text = f"{doing} the dataset: {done:,} of {count:,}"
+                self._post.put(lambda: self._page.say(text))
+            return not self._ended.is_set()
+
+        return tell
 
     def _scored(self, count: int) -> None:
-        self._on.read_with_news(f"{count} episodes were scored by the model.")
+        self._on.read_anew(f"{count} episodes were scored by the model.")
 
     def _merge(self, folder: str) -> None:
         person, dataset = self._on.sitting.person, self._opened.dataset

@@ -15,6 +15,7 @@ QUEUES: tuple[tuple[str, str], ...] = (
     ("unlabelled", "Unlabelled and drafts"),
     ("review", "Waiting for review"),
     ("returned", "Rejected, to correct"),
+    ("doubt", "The signals speak against it"),
     ("disagreement", "Disagreement with the model"),
     ("uncertainty", "Model is unsure"),
     ("coverage", "Holes in the coverage"),
@@ -24,11 +25,21 @@ QUEUES: tuple[tuple[str, str], ...] = (
     ("gold", "Gold: approved labels, answered blind"),
 )
 
+FINDING = "finding"
+"""The queue of what a look through the dataset found."""
+
 
 def source_words(source: Source) -> str:
     """Return a source for people; a model is named by the start of its weights' hash."""
     kind, _, weights = source.partition(":")
-    return f"model {weights[:8]}" if kind == "model" else kind
+    return models_words(weights) if kind == "model" else kind
+
+
+def models_words(weights: str) -> str:
+    """Name models by the start of their weights' hashes, joined by ``+``."""
+    first, *others = weights.split("+")
+    more = f" and {len(others)} more" if others else ""
+    return f"model {first[:8]}{more}"
 
 
 def rests_on(revision: Revision) -> str:

@@ -9,13 +9,16 @@ from app.label.bulk import BulkPresenter
 from app.label.commits import Commits
 from app.label.decisions import Decisions
 from app.label.halves import Halves
+from app.label.health import HealthPresenter
 from app.label.opening import Opened, opener
 from app.label.page import LabelIntents, LabelPage
 from app.label.panels import SidePresenter
 from app.label.post import Post
-from app.label.presenter import LabelPresenter, Sitting
+from app.label.presenter import LabelPresenter
+from app.label.side import HEALTH
+from app.label.sitting import Sitting
 from app.label.whole import WholeDataset
-from app.label.words import QUEUES
+from app.label.words import FINDING, QUEUES
 from app.workspace import Command, Desk, Memory, Workspace
 from backend.catalogue.review import check_person
 from backend.core.faults import InputError, TouchdownError
@@ -53,6 +56,7 @@ class LabelWorkspace(Workspace):
         self.side: SidePresenter | None = None
         self.bulk: BulkPresenter | None = None
         self.whole: WholeDataset | None = None
+        self.health: HealthPresenter | None = None
         self._opened: Opened | None = None
         self.commands = self._commands()
         self.held_keys = tuple((key, "Type a displacement x,y in mm") for key in "0123456789-.")
@@ -93,7 +97,8 @@ class LabelWorkspace(Workspace):
     def memory(self) -> Memory:
         """Return who labelled last, what, and how sure they were."""
         s = self.sitting
-        return {"person": s.person, "queue": s.queue, "sigma_mm": s.sigma_mm, "blind": s.blind}
+        queue = "unlabelled" if s.queue == FINDING else s.queue
+        return {"person": s.person, "queue": queue, "sigma_mm": s.sigma_mm, "blind": s.blind}
 
     def recall(self, memory: Memory) -> Sequence[str]:
         """Take what was remembered; return what makes no sense."""
@@ -144,10 +149,13 @@ class LabelWorkspace(Workspace):
         self.side = SidePresenter(self.label_page.side, self.presenter, self.commits)
         self.bulk = BulkPresenter(self.label_page.bulk, self.presenter, opened.catalogue)
         self.whole = WholeDataset(self.label_page, self.presenter, opened, self.post)
+        self.health = HealthPresenter(self.label_page, self.label_page.health, self.presenter)
         self.label_page.say("")
         for notice in (*opened.dataset.notices, opened.read_only):
             if notice:
-                self._desk.cards.show_card(CardText("DATASET", notice, "", "", reset=False))
+                self._desk.cards.show_card(
+                    CardText("DATASET", notice, "", "", reset=False, notice=True)
+                )
         self.presenter.read_queue()
         self.opened(opened)
 
@@ -196,7 +204,7 @@ class LabelWorkspace(Workspace):
         sitting, page = self.sitting, self.label_page
         page.person.setText(sitting.person or "nobody")
         page.person.setAccessibleName(f"Person: {page.person.text()}")
-        page.queue.setCurrentIndex([name for name, _ in QUEUES].index(sitting.queue))
+        page.show_queue(sitting.queue)
         self.person_changed(sitting.person)
 
     # -- keys -------------------------------------------------------------------------------------
@@ -205,11 +213,11 @@ class LabelWorkspace(Workspace):
         return LabelIntents(
             choose_row=lambda at: self._on(lambda p: p.go_to(at)),
             choose_queue=self._choose_queue,
-            move=lambda at_mm: self._on(lambda p: p.place(at_mm)),
-            drop=lambda: self._on(LabelPresenter.drop),
+            move=lambda at_mm: self._on(lambda p: p.editing.place(at_mm)),
+            drop=lambda: self._on(lambda p: p.editing.drop()),
             seek=lambda t_s: self.label_page.show_cursor(t_s),
             restore=lambda rev: self._decide(lambda d: d.restore(rev)),
-            typed=lambda text: self._on(lambda p: p.typed(text)),
+            typed=lambda text: self._on(lambda p: p.editing.typed(text)),
             key=self._type,
             again=lambda: self._decide(Decisions.enter),
             discard=self._discard,
@@ -218,6 +226,8 @@ class LabelWorkspace(Workspace):
             tab=lambda _: self._search(""),
             preview=lambda: self._bulk(BulkPresenter.preview),
             apply=lambda: self._bulk(BulkPresenter.apply),
+            look=self._look_through,
+            finding=lambda row: self._healthy(lambda h: h.choose(row)),
         )
 
     def _commands(self) -> tuple[Command, ...]:
@@ -254,9 +264,9 @@ class LabelWorkspace(Workspace):
             Command("frame-on", "One frame forward", "]", lambda: film.step(1), repeats=True),
             Command("hide", "Hide or show the model and other sources", "H", self._hide),
             Command("model", "Take the model's displacement", "M",
-                    lambda: self._on(LabelPresenter.take_model)),
+                    lambda: self._on(lambda p: p.editing.take_model())),
             Command("sigma", "Say how sure you are of what you set", "S",
-                    lambda: self._on(lambda p: p.ask_sigma(_nothing))),
+                    lambda: self._on(lambda p: p.editing.ask_sigma(_nothing))),
             Command("verdict", "Your verdict, then S, U or ?", "V",
                     lambda: decide(Decisions.verdict)),
             Command("take-over", "Take over another's draft", "T",
@@ -264,21 +274,33 @@ class LabelWorkspace(Workspace):
             Command("resolve", "Resolve a conflict", "C", lambda: decide(Decisions.resolve)),
             Command("delete", "Delete the episode, with a reason", "Delete",
                     lambda: decide(Decisions.delete)),
+            *self._commands_of_the_whole(),
+            Command("discard", "Discard what could not be saved", "Esc", self._discard),
+            Command("sheet", "Key sheet", "?", self._desk.keys),
+        )  # fmt: skip
+
+    def _commands_of_the_whole(self) -> tuple[Command, ...]:
+        """Return what concerns the sitting or the dataset, not the episode in front."""
+        return (
             Command("blind", "Blind mode: no model, no other sources", "Ctrl+B", self._blind),
             Command("person", "Change the person", "Ctrl+U", self._ask_person),
             Command("queue", "Choose the queue", "Ctrl+J", self._next_queue),
             Command("reread", "Read the queue anew", "Ctrl+R",
                     lambda: self._on(lambda p: p.flushed(p.read_queue))),
-            Command("discard", "Discard what could not be saved", "Esc", self._discard),
-            Command("score", "Let the model score the dataset: fills three queues", "Ctrl+M",
+            Command("score", "Let the model score the dataset: fills four queues", "Ctrl+M",
                     lambda: self._all(WholeDataset.score)),
+            Command("health", "Look through the dataset for what is out of order", "Ctrl+H",
+                    self._look_through),
+            Command("findings", "Choose a finding, by its digit", "F",
+                    lambda: self._healthy(HealthPresenter.ask)),
+            Command("models", "Choose the models that pre-label: one, or several together", "",
+                    lambda: self._all(WholeDataset.choose_models)),
             Command("merge", "Merge another copy of this dataset", "",
                     lambda: self._all(WholeDataset.merge)),
-            Command("sheet", "Key sheet", "?", self._desk.keys),
         )  # fmt: skip
 
     def _nudger(self, dx_um: int, dy_um: int) -> Callable[[], None]:
-        return lambda: self._on(lambda p: p.nudge(dx_um, dy_um))
+        return lambda: self._on(lambda p: p.editing.nudge(dx_um, dy_um))
 
     def _on(self, act: Callable[[LabelPresenter], None]) -> None:
         if self.presenter is not None:
@@ -291,6 +313,16 @@ class LabelWorkspace(Workspace):
     def _all(self, act: Callable[[WholeDataset], None]) -> None:
         if self.whole is not None:
             act(self.whole)
+
+    def _healthy(self, act: Callable[[HealthPresenter], None]) -> None:
+        if self.health is not None:
+            act(self.health)
+
+    def _look_through(self) -> None:
+        whole, health = self.whole, self.health
+        if whole is not None and health is not None:
+            self.label_page.side.choose(HEALTH)
+            whole.look_through(health.show)
 
     def _bulk(self, act: Callable[[BulkPresenter], None]) -> None:
         if self.bulk is not None:

@@ -43,6 +43,7 @@ class OperateWorkspace(Workspace):
             set_scene=self._set_scene,
         )  # fmt: skip
         self.page = OperatePage(desk.theme, intents, STEPS_MM, PHASES)
+        self.columns = self.page.columns
         self.keys = JogKeys(self.page, self.page.jog)
         self.commands = self._commands()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator
 from datetime import datetime
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from backend.objects.shapes import Outline
 
 COLUMNS = (
     "trial", "seed", "probe", "decided_s", "x_mm", "y_mm", "verdict", "margin_mm", "action",
-    "iou", "accuracy", "outcome",
+    "iou", "accuracy", "outcome", "episode",
 )  # fmt: skip
 VIEWER = "xdg-open"
 
@@ -41,28 +41,36 @@ def export_picture(view: QWidget, folder: Path, name: str) -> tuple[Path, Path]:
     return png, svg
 
 
-def table_of(trials: Sequence[TimedTrial], bottom: Outline | None) -> str:
-    """Return one line a probe as CSV, with the estimate against the truth where it is known."""
+def table_of(trials: Iterable[tuple[TimedTrial, Outline | None]]) -> str:
+    """Return one line a probe as CSV, with the estimate against the truth where it is known.
+
+    Each trial comes with the face of its bottom.
+    """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
-    for trial in trials:
-        whole = trial.story(float("inf"))
-        outcome = "" if whole.finished is None else whole.finished.outcome.name.lower()
-        for look in whole.probes:
-            at_s = trial.decided_s(look.probe)
-            score, s = trial.score(at_s, bottom), look.stability
-            x, y = look.offset_mm or (None, None)
-            writer.writerow((
-                whole.trial, whole.seed, look.probe, f"{at_s:.3f}", _mm(x), _mm(y),
-                "" if s is None else "stable" if s.stable else "unstable",
-                "" if s is None else _mm(s.margin_mm),
-                "" if look.action is None else look.action.kind,
-                "" if score is None else f"{score.iou:.4f}",
-                "" if score is None else f"{score.accuracy:.4f}",
-                outcome,
-            ))  # fmt: skip
+    for trial, bottom in trials:
+        writer.writerows(_rows(trial, bottom))
     return text.getvalue()
+
+
+def _rows(trial: TimedTrial, bottom: Outline | None) -> Iterator[tuple[object, ...]]:
+    whole = trial.story(float("inf"))
+    outcome = "" if whole.finished is None else whole.finished.outcome.name.lower()
+    episodes = {fact.probe: fact.episode.episode_id for fact in trial.episodes()}
+    for look in whole.probes:
+        at_s = trial.decided_s(look.probe)
+        score, s = trial.score(at_s, bottom), look.stability
+        x, y = look.offset_mm or (None, None)
+        yield (
+            whole.trial, whole.seed, look.probe, f"{at_s:.3f}", _mm(x), _mm(y),
+            "" if s is None else "stable" if s.stable else "unstable",
+            "" if s is None else _mm(s.margin_mm),
+            "" if look.action is None else look.action.kind,
+            "" if score is None else f"{score.iou:.4f}",
+            "" if score is None else f"{score.accuracy:.4f}",
+            outcome, episodes.get(look.probe, ""),
+        )  # fmt: skip
 
 
 def export_table(text: str, folder: Path, name: str) -> Path:

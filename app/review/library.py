@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 
 from app.label.opening import model_of
 from app.label.prelabel import Prelabeller
+from app.review.exports import table_of
 from app.review.stored import Series, StoredEpisode, read_stored, series_of
+from app.review.timed import TimedTrial
 from backend.catalogue.dataset import DESCRIPTION, Dataset
-from backend.catalogue.values import EpisodeEntry
+from backend.core.faults import InputError
 from backend.objects.catalogue import Catalogue, load_catalogue
+from backend.objects.shapes import Outline
 
 
 class Library:
@@ -32,11 +36,31 @@ class Library:
             return []
         return series_of(self._opened())
 
-    def episode(self, entry: EpisodeEntry) -> StoredEpisode:
+    def episode(self, uuid: str) -> StoredEpisode:
         """Read one episode; raises ``InputError`` naming a damaged file."""
         if self._models is None:
             self._models = Prelabeller(self.catalogue, model_of)
-        return read_stored(self._opened(), self._models, self.catalogue, entry)
+        dataset = self._opened()
+        return read_stored(dataset, self._models, self.catalogue, dataset.entry(uuid))
+
+    def table(self, uuids: Sequence[str]) -> str:
+        """Return the table of these episodes, one line each; one that cannot be read has none."""
+        return table_of(self._numbered(uuids))
+
+    def _numbered(self, uuids: Sequence[str]) -> Iterator[tuple[TimedTrial, Outline | None]]:
+        for number, uuid in enumerate(uuids, start=1):
+            try:
+                shown = self.episode(uuid)
+            except InputError:
+                continue
+            yield shown.trial.numbered(number), self.face(shown.entry.bottom)
+
+    def face(self, name: str) -> Outline | None:
+        """Return the outline of a face, None for an unknown piece."""
+        try:
+            return self.catalogue.piece(name).face
+        except InputError:
+            return None
 
     def close(self) -> None:
         """Let go of the dataset."""

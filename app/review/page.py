@@ -78,9 +78,11 @@ class ReviewPage(QWidget):
         self.refresh = QPushButton("Refresh")
         self.empty = label("", "muted", wrap=True)
         self.belief, self.legend = BeliefView(theme), BeliefLegend(theme)
+        # At the least size of the window the strip below has two lines to a map.
+        self.belief.setMinimumHeight(170)
         self.decision = DecisionPanel(_nothing, _nothing)
         self.strip = ProbeStrip(theme, intents.choose_probe)
-        self.score = ScorePanel(theme)
+        self.score = ScorePanel(theme, "Outcomes")
         self.film = Film(theme, intents.seek)
         self.forces = RecordedTraces(theme, FORCES, intents.seek)
         self.moments = RecordedTraces(theme, MOMENTS, intents.seek)
@@ -127,6 +129,7 @@ class ReviewPage(QWidget):
         self.filter.textChanged.connect(lambda _: self._intents.filter())
         self.kind.currentIndexChanged.connect(lambda _: self._intents.filter())
         self.play.clicked.connect(self._intents.play)
+        self.film.ran.connect(lambda on: self.play.setText("Pause" if on else "Play"))
 
     def _arrange(self) -> None:
         runs = Panel("Recordings")

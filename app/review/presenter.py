@@ -9,6 +9,8 @@ from pathlib import Path
 from PySide6.QtCore import QTimer
 
 from app.label.commits import Commits
+from app.review.collection import Collection, collection_of
+from app.review.exports import table_of
 from app.review.library import Library
 from app.review.page import ReviewPage
 from app.review.recorded import Recorded, read_recorded
@@ -21,7 +23,6 @@ from app.tally import wilson
 from backend.core.facts import Fact
 from backend.core.faults import InputError
 from backend.core.flow import Outcome
-from backend.objects.shapes import Outline
 from backend.runs.journal import NAME, read_journal
 from widgets.decision_panel import DecisionText
 from widgets.fault_cards import CardText, FaultCards
@@ -46,7 +47,9 @@ class ReviewPresenter:
         self.story = RunStory()
         self.timed: list[TimedTrial] = []
         self._run: Path | None = None
-        self._chosen: Series | None = None
+        self._episodes: list[str] = []
+        """Of a series or a collection: what its rows show."""
+        self._told: list[str] = []
         self.file: Path | None = None
         """What an external viewer would open."""
         self._asked = 0
@@ -153,19 +156,39 @@ class ReviewPresenter:
             what = error.what if isinstance(error, InputError) else str(error)
             self._card(f"The run could not be read: {what}", f"In {run}.")
             return False
-        self.story, self._run, self._chosen = story, run, None
-        self.timed = trials_of(facts)
-        self._page.trials_panel.detail.setText("of the run")
+        self.story, self._run = story, run
+        collection = collection_of(facts)
+        if collection is not None:
+            self._open_collection(collection)
+            return True
+        self.timed, self._episodes, self._told = trials_of(facts), [], []
+        self._name_parts("Trials", "of the run", "Outcomes")
         self._show_score()
         self._fill([_trial_title(trial) for trial in story.trials], len(story.trials) - 1)
         return True
 
+    def _open_collection(self, collection: Collection) -> None:
+        """Show a run that collected: its probes are episodes of the dataset."""
+        self.timed, self._told = [], collection.told
+        self._episodes = [probe.uuid for probe in collection.probes]
+        self._page.score.show_facts(collection.headline, collection.facts())
+        self._name_parts("Probes", "of the run", "Collection")
+        self._fill(collection.lines(), len(self._episodes) - 1)
+
     def _open_series(self, series: Series) -> None:
-        self.story, self._run, self._chosen, self.timed = RunStory(), None, series, []
-        self._page.score.show_score(Score((), 0, None, series.title.split("\n")[1].capitalize()))
-        self._page.trials_panel.detail.setText("episodes of the series")
+        self.story, self._run, self.timed, self._told = RunStory(), None, [], []
+        self._episodes = [entry.uuid for entry in series.entries]
+        count = len(series.entries)
+        self._page.score.show_facts("1 episode" if count == 1 else f"{count} episodes",
+                                    series.facts)  # fmt: skip
+        self._name_parts("Episodes", "of the series", "Series")
         lines = [f"{at}.  {e.state}, {e.uuid[-8:]}" for at, e in enumerate(series.entries, 1)]
-        self._fill(lines, len(lines) - 1)
+        self._fill(lines, count - 1)
+
+    def _name_parts(self, title: str, detail: str, whole: str) -> None:
+        self._page.score.rename(whole)
+        self._page.trials_panel.rename(title)
+        self._page.trials_panel.detail.setText(detail)
 
     def _fill(self, lines: list[str], chosen: int) -> None:
         trials = self._page.trials
@@ -180,18 +203,21 @@ class ReviewPresenter:
         """Show a trial of the run, or an episode of the series."""
         self._page.film.stop()
         self._asked += 1
-        if self._chosen is not None:
-            if 0 <= row < len(self._chosen.entries):
-                self._show_episode(row)
-        elif 0 <= row < len(self.timed):
+        if 0 <= row < len(self._episodes):
+            self._show_episode(self._episodes[row])
+        elif not self._episodes and 0 <= row < len(self.timed):
             self._show_trial(self.timed[row])
         else:
-            self.replay.show(None)
+            self.file = None if self._run is None else self._run / NAME
+            self.replay.show(None, told=self._told)
 
     def _show_trial(self, trial: TimedTrial) -> None:
         assert self._run is not None
         self.file = self._run / NAME
-        face, bottom = self.face(trial.head.piece), self.face(trial.head.bottom.split("+")[-1])
+        face, bottom = (
+            self.library.face(trial.head.piece),
+            self.library.face(trial.head.bottom.split("+")[-1]),
+        )
         self.replay.show(trial, face, bottom)
         kept = [f.path for f in trial.episodes() if f.path]
         if not kept:
@@ -206,17 +232,16 @@ class ReviewPresenter:
         detail.setText("; ".join(recorded.missing) or f"{len(recorded.traces)} probes")
         detail.setToolTip("\n".join(recorded.missing))
 
-    def _show_episode(self, row: int) -> None:
-        assert self._chosen is not None
-        entry = self._chosen.entries[row]
+    def _show_episode(self, uuid: str) -> None:
         self._page.signals_panel.detail.setText("reading")
-        self._later(lambda: self.library.episode(entry), self._take_episode)
+        self._later(lambda: self.library.episode(uuid), self._take_episode)
 
     def _take_episode(self, shown: StoredEpisode) -> None:
         entry = shown.entry
         self.file = self.library.folder / entry.path
         self.timed = [shown.trial]
-        self.replay.show(shown.trial, self.face(entry.piece), self.face(entry.bottom))
+        faces = self.library.face(entry.piece), self.library.face(entry.bottom)
+        self.replay.show(shown.trial, *faces, told=self._told)
         self.replay.take(shown.recorded)
         self._page.signals_panel.detail.setText(shown.says)
 
@@ -240,6 +265,16 @@ class ReviewPresenter:
             CardText("REPLAY", what, where, "The other recordings are not affected.", reset=False)
         )
 
+    def make_table(self, done: Callable[[str], None]) -> bool:
+        """Have the probes of what is chosen written as a table; False if nothing is chosen."""
+        if self._episodes:
+            uuids = list(self._episodes)
+            self._reader.submit(lambda: self.library.table(uuids), done, self._failed)
+        elif self.timed:
+            face = self.library.face
+            done(table_of([(t, face(t.head.bottom.split("+")[-1])) for t in self.timed]))
+        return bool(self._episodes or self.timed)
+
     def _show_score(self) -> None:
         outcomes = self.story.outcomes
         placed = sum(o is Outcome.PLACED for o in outcomes)
@@ -250,13 +285,6 @@ class ReviewPresenter:
             last = f"{head.piece} on {head.bottom}, {what}. {last}"
         trials = head.trials if head is not None and head.activity == "stack" else 0
         self._page.score.show_score(Score(outcomes, trials, wilson(placed, len(outcomes)), last))
-
-    def face(self, name: str) -> Outline | None:
-        """Return the outline of a face, None for an unknown piece."""
-        try:
-            return self.library.catalogue.piece(name).face
-        except InputError:
-            return None
 
 
 def run_title(name: str) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from app.review.page import ReviewPage
@@ -43,9 +45,13 @@ class Replay:
         return (min(times), max(times)) if times else (0.0, 0.0)
 
     def show(
-        self, trial: TimedTrial | None, face: Outline | None = None, bottom: Outline | None = None
+        self,
+        trial: TimedTrial | None,
+        face: Outline | None = None,
+        bottom: Outline | None = None,
+        told: Sequence[str] = (),
     ) -> None:
-        """Show a trial at its end; its signals come later."""
+        """Show a trial at its end; its signals come later. ``told``: what the whole run said."""
         self.trial, self.recorded, self._faces = trial, Recorded(), (face, bottom)
         self._outlines = tuple(  # type: ignore[assignment]
             None if outline is None else outline.polygon(SEGMENTS) for outline in (face, bottom)
@@ -54,7 +60,7 @@ class Replay:
         lines = [] if trial is None else [(f.t_s, text) for f in trial.facts if (text := _line(f))]
         self._said_s = np.array([t_s for t_s, _ in lines])
         self._page.story.clear()
-        self._page.story.addItems([text for _, text in lines])
+        self._page.story.addItems([text for _, text in lines] or list(told))
         self._page.signals_panel.detail.setText("")
         self._show_strip()
         self.take(Recorded())
@@ -118,8 +124,15 @@ class Replay:
             self._page.strip.show_probes([], -1)
             return
         scenes = [self._scene(whole, i) for i in range(len(whole.probes))]
-        captions = [caption_of(p.probe, p.stability) for p in whole.probes]
+        captions = [caption_of(p.probe, p.stability) + self._iou(p.probe) for p in whole.probes]
         self._page.strip.show_probes(list(zip(scenes, captions, strict=True)), len(scenes) - 1)
+
+    def _iou(self, probe: int) -> str:
+        """Return how well the estimate of a probe fits the truth, where that is known."""
+        if self.trial is None:
+            return ""
+        score = self.trial.score(self.trial.decided_s(probe), self._faces[1])
+        return "" if score is None or score.probe != probe else f"\nIoU {score.iou:.2f}"
 
     def _scene(self, story: TrialStory, index: int) -> BeliefScene:
         scene = scene_of(story, index, *self._outlines)

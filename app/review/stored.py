@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from app.label.prelabel import Prelabeller
+from app.review.collection import counted
 from app.review.recorded import Recorded, recorded
 from app.review.timed import TimedTrial
 from backend.catalogue.dataset import Dataset
@@ -27,6 +28,7 @@ from backend.dataset.film_reading import FilmedEpisode
 from backend.objects.catalogue import Catalogue
 from backend.placement.belief import Belief
 from backend.placement.stability import judge
+from backend.runs.campaign import read_campaign
 
 JUDGED_S = 2.0
 """The model reads a probe when its last tick is over, so long after the contact onset."""
@@ -34,10 +36,11 @@ JUDGED_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """The episodes of one series of a dataset, oldest first."""
+    """The episodes of one series of a dataset, oldest first. ``plan`` in words, "" if unknown."""
 
     name: str
     entries: tuple[EpisodeEntry, ...]
+    plan: str = ""
 
     @property
     def title(self) -> str:
@@ -50,6 +53,24 @@ class Series:
             f"{when:%Y-%m-%d  %H:%M:%S} UTC\n"
             f"series: {first.piece} on {first.bottom}, {count} {noun}"
         )
+
+    @property
+    def facts(self) -> str:
+        """Pair, plan, person and how far it came, a line each."""
+        first = self.entries[0]
+        people = ", ".join(sorted({e.person for e in self.entries if e.person})) or "nobody named"
+        mountings = len({e.mounting_id for e in self.entries})
+        grips = len({(e.mounting_id, e.grip_id) for e in self.entries})
+        refused = sum(not e.quality.accepted for e in self.entries)
+        lines = [
+            f"{first.piece} on {first.bottom}, {first.mode}",
+            self.plan,
+            f"recorded by {people}",
+            f"{counted([e.state for e in self.entries])}; {refused} refused",
+            f"{grips} {'grip' if grips == 1 else 'grips'} on "
+            f"{mountings} {'mounting' if mountings == 1 else 'mountings'}",
+        ]
+        return "\n".join(line for line in lines if line)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +88,19 @@ def series_of(dataset: Dataset) -> list[Series]:
     found: dict[str, list[EpisodeEntry]] = {}
     for entry in dataset.episodes():
         found.setdefault(entry.series, []).append(entry)
-    return [Series(name, tuple(entries)) for name, entries in reversed(found.items())]
+    return [
+        Series(name, tuple(entries), plan_words(dataset, entries[0].campaign))
+        for name, entries in reversed(found.items())
+    ]
+
+
+def plan_words(dataset: Dataset, campaign: str) -> str:
+    """Return the plan of a campaign in words; "" where there is none, or none to be read."""
+    try:
+        plan = read_campaign(dataset.folder, campaign) if campaign else None
+    except InputError:
+        return ""
+    return "" if plan is None else f"plan: {plan.pattern}, {plan.count} probes, seed {plan.seed}"
 
 
 def read_stored(
@@ -105,9 +138,10 @@ def _reading(
     at_mm: tuple[float, float],
 ) -> Sequence[Fact]:
     """Return what the method makes of this one probe at the labelled place."""
-    model = models.model(entry.piece)
-    if model is None:
+    found = models.model(entry.piece)
+    if found is None:
         return []
+    model = found.members[0]
     t_s, settings = episode.onset_s + JUDGED_S, StackSettings()
     try:
         patch = model.estimate(episode)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,6 +44,13 @@ class TimedTrial:
 
     head: RunStarted
     facts: tuple[Fact, ...]
+
+    def numbered(self, number: int) -> TimedTrial:
+        """Return the trial as number ``number`` of several."""
+        first, *others = self.facts
+        if isinstance(first, TrialStarted):
+            first = replace(first, trial=number)
+        return TimedTrial(self.head, (first, *others))
 
     @property
     def times_s(self) -> FloatArray:
@@ -116,12 +123,17 @@ def score_of(
 
 
 def trials_of(facts: Iterable[Fact]) -> list[TimedTrial]:
-    """Split the facts of a run into its trials; what comes before the first belongs to none."""
+    """Split the facts of a run into its trials; what comes before the first belongs to none.
+
+    A single probe is shown as a trial of its own.
+    """
     head: RunStarted | None = None
     parts: list[list[Fact]] = []
     for fact in facts:
         if isinstance(fact, RunStarted):
             head = fact
+            if fact.activity == "probe":
+                parts.append([TrialStarted(fact.t_s, 1, fact.seed, None)])
         elif isinstance(fact, TrialStarted):
             parts.append([fact])
         elif parts:

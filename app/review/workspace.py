@@ -7,7 +7,7 @@ from pathlib import Path
 
 from app.label.commits import Commits
 from app.label.post import Post
-from app.review.exports import export_picture, export_table, open_outside, stamped, table_of
+from app.review.exports import export_picture, export_table, open_outside, stamped
 from app.review.library import Library
 from app.review.page import ReviewIntents, ReviewPage
 from app.review.presenter import ReviewPresenter
@@ -87,10 +87,11 @@ class ReviewWorkspace(Workspace):
             self._export(lambda: export_picture(self.page.shown, self.exports, name)[0])
 
     def _table(self) -> None:
-        p = self.presenter
-        if p.timed:
-            text = table_of(p.timed, p.face(p.timed[0].head.bottom.split("+")[-1]))
+        def write(text: str) -> None:
             self._export(lambda: export_table(text, self.exports, stamped("probes")))
+
+        if not self.presenter.make_table(write):
+            self._desk.say("Nothing is chosen that could be written as a table.")
 
     def _open_outside(self) -> None:
         if self.presenter.file is not None:

@@ -45,10 +45,13 @@ class StackPresenter:
 
     def start(self) -> None:
         """Begin the run that is filled in."""
-        if busy(self._link):
-            return
+        if not busy(self._link):
+            self.begin(request_of(self._page.run.form()))
+
+    def begin(self, request: StackRequest) -> bool:
+        """Begin a run; False, with a card, if it is refused."""
         try:
-            self._link.start(request_of(self._page.run.form()))
+            self._link.start(request)
         except RefusedError as error:
             latched = self._link.interlock.latched
             self._cards.show_card(CardText(error.reason, "The run was not started.", error.detail,
@@ -57,6 +60,9 @@ class StackPresenter:
             self._cards.show_card(
                 CardText("INPUT", error.what, f"In {error.where}.", error.fix, reset=False)
             )
+        else:
+            return True
+        return False
 
     def pause_or_resume(self) -> None:
         """Pause, or go on."""

@@ -7,9 +7,10 @@ from dataclasses import asdict
 
 from app.link import Link
 from app.live import LivePresenter, LiveViews
+from app.stack.comparison import Comparison
 from app.stack.form import form_of
 from app.stack.page import StackIntents, StackPage
-from app.stack.presenter import StackPresenter
+from app.stack.presenter import StackPresenter, request_of
 from app.stack.side import SidePresenter
 from app.workspace import Command, Desk, Memory, Workspace
 from backend.core.facts import Fact
@@ -26,17 +27,20 @@ class StackWorkspace(Workspace):
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
         intents = StackIntents(self._start, self._pause, self._cancel, self._approve,
-                               self._decline, self._choose)  # fmt: skip
+                               self._decline, self._choose, self._compare)  # fmt: skip
         self.page = StackPage(desk.theme, intents)
+        self.columns = self.page.columns
         self.live: LivePresenter | None = None
         self.presenter: StackPresenter | None = None
         self.side: SidePresenter | None = None
+        self.comparison: Comparison | None = None
         self._form = RunForm()
         self.commands = (
             Command("start", "Start stacking", "Ctrl+Return", self._start),
             Command("step", "Next step: carry out the move that waits", "N", self._approve),
             Command("approve", "Approve the move that waits", "A", self._approve),
             Command("pause", "Pause or resume", "P", self._pause),
+            Command("compare", "Compare the strategies on the same seed", "Ctrl+D", self._compare),
             Command("fit", "Fit the force and moment ranges", "Ctrl+F", self.page.fit),
         )  # fmt: skip
 
@@ -47,6 +51,9 @@ class StackWorkspace(Workspace):
         self.live = LivePresenter(link, views)
         self.presenter = StackPresenter(link, page, self._desk.cards)
         self.side = SidePresenter(link, page.side, page.side_panel)
+        self.comparison = Comparison(
+            link, self._desk.theme, lambda: request_of(page.run.form()), self.presenter.begin
+        )
         page.run.show_catalogue(
             [(name, shown.piece(name).title) for name in shown.tops],
             [(name, shown.piece(name).title) for name in shown.bottoms],
@@ -56,6 +63,7 @@ class StackWorkspace(Workspace):
         self.parts = (
             self.live.draw_left, self.live.draw_right, self.live.draw_wrench,
             self.live.draw_headers, self.presenter.draw, self.side.draw,
+            self.comparison.draw,
         )  # fmt: skip
 
     def take(self, fact: Fact) -> None:
@@ -63,6 +71,8 @@ class StackWorkspace(Workspace):
         if self.presenter is not None and self.side is not None:
             self.presenter.take(fact)
             self.side.take(fact)
+        if self.comparison is not None:
+            self.comparison.take(fact)
 
     def show_waiting(self, word: str, why: str) -> None:
         """Say why there is no bench yet."""
@@ -87,6 +97,8 @@ class StackWorkspace(Workspace):
 
     def _start(self) -> None:
         if self.presenter is not None:
+            # A crash must not turn a careful mode into the automatic one at the next start.
+            self._desk.remember()
             self.presenter.start()
 
     def _pause(self) -> None:
@@ -104,6 +116,10 @@ class StackWorkspace(Workspace):
     def _decline(self) -> None:
         if self.presenter is not None:
             self.presenter.decline()
+
+    def _compare(self) -> None:
+        if self.comparison is not None:
+            self.comparison.open(self.page.window())
 
     def _choose(self, index: int) -> None:
         if self.presenter is not None:

@@ -6,8 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from PySide6.QtGui import QFontMetrics
-from PySide6.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QHBoxLayout, QPushButton, QWidget
 
+from app.live_page import column
+from widgets.columns import Columns
 from widgets.panel import Panel, label, rule
 from widgets.theme import Theme, ui_font
 from widgets.training_form import TrainingFormPanel, TrainingIntents
@@ -74,18 +76,22 @@ class TrainPage(QWidget):
         self.split_panel.header.addWidget(label("Held out", "muted"))
         self.split_panel.header.addWidget(self.form.numbers.held_out)
         self.split_panel.column.addWidget(self.leaks)
-        self._left = QWidget()
-        left = _column((self.form, 0), (self.split_panel, 1))
-        left.setContentsMargins(0, 0, 0, 0)
-        self._left.setLayout(left)
-        middle = _column((self._curves(), 3), (self._samples_panel(), 2))
-        right = _column((self._runs_panel(), 4), (self._comparison(), 5))
+        self._left = column((self.form, 0), (self.split_panel, 1))
+        middle = column((self._curves(), 3), (self._samples_panel(), 2))
+        right = column((self._runs_panel(), 4), (self._comparison(), 5))
+        self.columns = Columns(
+            ((self._left, 5), (middle, 9), (right, 7)),
+            {
+                "Split": self.split_panel,
+                "Curves": self.curves_panel,
+                "Held-out probes": self.samples_panel,
+                "Trainings": self.runs_panel,
+                "Comparison": self.comparison,
+            },
+        )
         row = QHBoxLayout(self)
         row.setContentsMargins(10, 8, 10, 8)
-        row.setSpacing(8)
-        row.addWidget(self._left, 5)
-        row.addLayout(middle, 9)
-        row.addLayout(right, 7)
+        row.addWidget(self.columns)
         self.fit_to_theme()
 
     def _curves(self) -> Panel:
@@ -128,11 +134,3 @@ class _Yielding(Panel):
     def hasHeightForWidth(self) -> bool:
         """Ask for the least height only: its wrapped words would ask for the table's usual one."""
         return False
-
-
-def _column(*parts: tuple[QWidget, int]) -> QVBoxLayout:
-    column = QVBoxLayout()
-    column.setSpacing(8)
-    for part, stretch in parts:
-        column.addWidget(part, stretch)
-    return column

@@ -46,6 +46,7 @@ class TrainWorkspace(Workspace):
                 self._order(TrainPresenter.roll_back),
             ),
         )
+        self.columns = self.page.columns
         self.presenter: TrainPresenter | None = None
         self._post: Post | None = None
         self._commits: Commits | None = None

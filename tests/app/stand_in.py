@@ -34,6 +34,7 @@ from backend.core.flow import (
     TactileFrame,
 )
 from backend.core.hub import Hub
+from backend.core.hush import Hush
 from backend.core.stream import SampleStream, Stream
 from backend.devices.interlock import Interlock
 from backend.devices.protocols import (
@@ -103,6 +104,7 @@ class StandInBench:
 
     def __init__(self):
         self.hub, self.interlock, self.catalogue = Hub(), Interlock(), load_catalogue()
+        self.hush = Hush()
         self.frames = {f: Stream(f"tactile_{f}", 8) for f in FINGERS}
         self.fields = {f: Stream(f"markers_{f}", 8) for f in FINGERS}
         self.wrench = SampleStream("wrench", 6, 20_000)

@@ -1,6 +1,7 @@
 """The Collect half on the stand-in bench and a real dataset: form, keys, facts, what is shown."""
 
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,9 +10,7 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
 from app.application import TouchdownApp
-from app.collect.gauge import Pace, RecorderGauge, time_words
-from app.collect.harvest import Harvest
-from app.collect.origin import OriginNote, note_of, residual_words
+from app.collect.origin import note_of
 from app.error_hooks import ErrorBox
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.values import EpisodeContext, EpisodeFilter, Label
@@ -19,6 +18,7 @@ from backend.core.facts import (
     CampaignBegan,
     DecisionAwaited,
     EpisodeDecided,
+    HandOverAwaited,
     OriginChecked,
     ProbeCollected,
     RunFinished,
@@ -212,7 +212,7 @@ def test_a_click_on_a_dot_chooses_its_episode(page):
     spot = QPoint(round(area.x(points[at, 0])), round(area.y(points[at, 1])))
     QTest.mouseClick(view, Qt.MouseButton.LeftButton, pos=spot)
     settle(page.main)
-    assert page.presenter.chosen == page.uuids[at] or at == PROBES - 1
+    assert page.presenter.probes.chosen == page.uuids[at] or at == PROBES - 1
     row = page.view.table.currentIndex().row()
     assert page.view.table.rows()[row].uuid == page.uuids[at]
     edge = QPoint(round(area.rect.right() + 2 * NEAR_PX), 4)
@@ -250,7 +250,7 @@ def test_space_and_f12_stop_while_the_question_waits(page):
 
 def test_an_older_probe_is_decided_in_the_dataset_and_shown(page):
     first = page.uuids[0]
-    page.presenter.choose(first)
+    page.presenter.probes.choose(first)
     settle(page.main)
     page.press(KEY.Key_X)
     page.settle()
@@ -305,13 +305,67 @@ def test_the_check_of_the_origin_is_dated_used_once_and_remembered(page, qapp, t
     page.tell(OriginChecked(1.0, (0.25, -0.5), 0.11, True))
     target = page.view.target
     assert "x +0.25, y \N{MINUS SIGN}0.50" in target.residual.text()
-    assert not target.take.isEnabled() or page.presenter.note is not None
+    assert not target.take.isEnabled() or page.presenter.origin.note is not None
     page.bench.set_state(RunState.IDLE)
     page.tell(RunFinished(2.0, "run", "finished", "done"))
     target.take.click()
     target.take.click()
     assert (target.origin[0].value(), target.origin[1].value()) == (0.25, -0.5)
-    assert note_of(page.workspace.memory()["origin"]) == page.presenter.note
+    assert note_of(page.workspace.memory()["origin"]) == page.presenter.origin.note
+
+
+def test_the_origin_is_set_where_the_arm_was_jogged_to(page):
+    page.begin()
+    page.tell(OriginChecked(1.0, (0.25, -0.5), 0.11, True))
+    page.bench.set_state(RunState.IDLE)
+    page.tell(RunFinished(2.0, "run", "finished", "done"))
+    page.bench.turn(0.08)
+    (x_mm, y_mm, _), target = page.bench.devices["arm"].poses.since(0).values[-1], page.view.target
+    target.here.click()
+    assert [field.value() for field in target.origin] == [x_mm, y_mm]
+    # A check of another origin says nothing about this one.
+    assert page.presenter.origin.note is None
+    page.bench.turn(3.0)
+    page.bench.devices["arm"].poses.clear()
+    target.origin[0].setValue(7.0)
+    target.here.click()
+    assert target.origin[0].value() == 7.0
+
+
+def test_in_contact_nothing_starts_and_a_lift_is_offered(page):
+    steps = []
+    jog = SimpleNamespace(step=lambda *asked: steps.append(asked), active=False)
+    page.bench.hand = SimpleNamespace(pressing_n=3.0, active=False, holding=True, jog=jog)
+    settle(page.main)
+    target = page.view.target
+    assert not target.start.isEnabled()
+    assert target.why_not.text() == "In contact: lift first."
+    assert target.lift.isVisible()
+    target.lift.click()
+    assert steps == [("z", "XYZ", 5.0, 5.0)]
+    page.bench.hand.pressing_n = 0.0
+    settle(page.main)
+    assert target.start.isEnabled()
+    assert not target.lift.isVisible()
+    page.bench.hand = None
+
+
+def test_a_hand_at_the_jaws_is_asked_for_and_confirmed_by_f5(page):
+    target = page.view.target
+    target.hand_over.setChecked(True)
+    page.press(KEY.Key_F5)
+    assert page.bench.started[0].hand_over
+    page.begin()
+    page.tell(HandOverAwaited(0.5, "pot", gives=True))
+    assert target.why_not.text() == "Hold the pot between the jaws: they close on it."
+    assert (target.start.text(), target.start.isEnabled()) == ("Confirm", True)
+    page.press(KEY.Key_F5)
+    assert page.bench.answers == [True]
+    settle(page.main)
+    assert (target.start.text(), target.start.isEnabled()) == ("Start collecting", False)
+    page.press(KEY.Key_F5)
+    assert page.bench.answers == [True]
+    assert len(page.bench.started) == 1
 
 
 def test_keys_of_one_half_do_nothing_in_the_other(page):
@@ -333,43 +387,3 @@ def test_no_key_of_the_workspace_clashes(page):
     assert len(keys) == len(set(keys))
     names = [row.id for row in page.main.actions.rows if row.command is not None]
     assert len(names) == len(set(names))
-
-
-def test_the_gauge_counts_bytes_of_the_last_two_minutes(tmp_path):
-    gauge = RecorderGauge()
-    assert gauge.bytes_a_minute(0.0) == 0.0
-    for second in range(0, 61, 10):
-        gauge.note(float(second), 2_000_000)
-    assert gauge.bytes_a_minute(60.0) == pytest.approx(12e6)
-    assert gauge.bytes_a_minute(1000.0) == 0.0
-    assert "GB free, 0.0 MB/min" in gauge.words(tmp_path, 1000.0)
-    assert "does not answer" in gauge.words(tmp_path / "gone", 1000.0)
-
-
-def test_the_time_left_follows_the_last_probes():
-    pace = Pace()
-    pace.restart(0.0)
-    assert pace.words(10) == ""
-    for k in range(1, 5):
-        pace.note(12.0 * k)
-    assert pace.words(10) == "10 left, about 2 min at 12.0 s each"
-    assert pace.words(0) == ""
-    assert time_words(3 * 86400) == "3 days"
-    assert time_words(3.5 * 3600) == "3 h 30 min"
-
-
-def test_a_pair_without_a_probe_has_holes_only():
-    catalogue = load_catalogue()
-    harvest = Harvest(catalogue.piece("pot").face, catalogue.piece("circle15").face)
-    assert harvest.covered.covered == 0.0
-    assert harvest.newest == ""
-    assert len(harvest.distribution(0, "").points_mm) == 0
-
-
-def test_notes_that_make_no_sense_are_refused():
-    assert note_of(None) is None
-    for bad in (3, {}, {"residual_mm": [1], "sigma_mm": 1, "at": "", "agrees": 1, "used": 0}):
-        with pytest.raises(ValueError, match="no note"):
-            note_of(bad)
-    far = OriginNote((1.0, 0.0), 0.1, False, "2026-01-01 10:00")
-    assert "does not agree" in residual_words(far)

@@ -95,18 +95,24 @@ def test_no_label_is_cut_off_and_the_top_bar_is_visible(live, bench, theme, size
         assert window.contains(corner)
 
 
-def test_scale_and_theme_switch_live(live):
+def test_scale_and_theme_switch_live(live, qtbot):
     before = live.bar.pill.sizeHint().height()
+    refit, changes = live.look.refit, []
+    live.look.refit = lambda: changes.append(live.theme.scale) or refit()
     live.actions.action("larger").trigger()
     live.actions.action("larger").trigger()
-    assert live.theme.scale == pytest.approx(1.2)
+    # STOP must not wait behind one change of the whole window for each press.
+    assert changes == []
+    qtbot.waitUntil(lambda: bool(changes), timeout=3000)
+    assert changes == [pytest.approx(1.2)]
     assert live.bar.pill.sizeHint().height() > before
     names = []
     for _ in range(3):
         live.actions.action("theme").trigger()
+        count = len(changes)
+        qtbot.waitUntil(lambda: len(changes) > count, timeout=3000)  # noqa: B023 - waited for here
         names.append(live.theme.tokens.name)
     assert sorted(names) == sorted(THEMES)
-    live.look.show("dark", live.theme.scale)
     live.look.show("dark", 1.0)
 
 
@@ -129,6 +135,7 @@ def test_settings_survive_a_round_trip(tmp_path):
         (10, 20, 1500, 900),
         "review",
         {"stack.pause": "Ctrl+P"},
+        True,
         {"stack": {"seed": 9}},
     )
     save_settings(path, wanted)
@@ -268,3 +275,13 @@ def test_questions_do_not_block(live, qtbot):
     qtbot.mouseClick(button, Qt.MouseButton.LeftButton)
     qtbot.waitUntil(lambda: answered == [1], timeout=1000)
     assert live.cards._question is None
+
+
+def test_the_override_of_the_bar_is_that_of_the_bench_and_hardware_starts_slowly(live, bench):
+    assert live.bar.override.value() == 100
+    live.actions.action("slower").trigger()
+    assert bench.interlock.override == 0.9
+    bench.simulated = False
+    live.attach(bench)
+    assert live.bar.override.value() == 10
+    assert bench.interlock.override == 0.1

@@ -127,10 +127,11 @@ def test_the_palette_works_with_keys_alone(live, qtbot):
     assert not palette.isModal()
     QTest.keyClicks(palette.field, "next theme")
     assert palette.shown()[0] == "theme"
-    before = live.theme.tokens.name
+    before = live.look.choice
     QTest.keyClick(palette.field, Qt.Key.Key_Return)
     assert not palette.isVisible()
-    assert live.theme.tokens.name != before
+    assert live.look.choice != before
+    qtbot.waitUntil(lambda: live.theme.tokens.name != before, timeout=10_000)
 
 
 def test_a_command_of_another_page_brings_that_page(live):

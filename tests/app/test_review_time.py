@@ -182,9 +182,11 @@ def test_keys_step_and_jump_and_play(told, qtbot):
     before = review.replay.cursor_s
     review.press(KEY.Key_Space)
     assert review.page.film.playing
+    assert review.page.play.text() == "Pause"
     qtbot.waitUntil(lambda: review.replay.cursor_s > before, timeout=5000)
     review.press(KEY.Key_Space)
     assert not review.page.film.playing
+    assert review.page.play.text() == "Play"
 
 
 def test_space_stops_and_does_not_play_while_something_moves(told, monkeypatch):
@@ -278,6 +280,7 @@ def test_pictures_and_tables_are_written(told, tmp_path):
     assert [float(row["decided_s"]) for row in rows] == pytest.approx(decided_s)
     assert [row["verdict"] for row in rows] == ["unstable", "unstable", "stable"]
     assert {row["outcome"] for row in rows} == {"placed"}
+    assert [row["episode"] for row in rows] == ["e1", "e2", "e3"]
 
 
 def test_a_viewer_that_is_not_there_is_said(told, monkeypatch):

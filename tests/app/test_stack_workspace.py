@@ -5,6 +5,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from scipy.stats import binomtest
 
+from app.settings import load_settings
 from app.stack.presenter import request_of
 from app.tally import wilson
 from backend.core.facts import PhaseEntered, TrialFinished
@@ -34,6 +35,13 @@ def test_start_hands_over_what_is_filled_in(live, bench):
     assert bench.started == [
         StackRequest("barrel", ("long", "hex20"), 11, 5, "pick-and-place", "step")
     ]
+
+
+def test_a_careful_mode_is_remembered_before_anything_can_crash(live, tmp_path):
+    live.workspaces["stack"].page.run.show_form(RunForm(mode="approve"))
+    live.workspaces["stack"].page.run.start.click()
+    kept, _ = load_settings(tmp_path / "window.json")
+    assert kept.pages["stack"]["mode"] == "approve"
 
 
 def test_a_form_without_a_tower():
@@ -287,7 +295,7 @@ def test_simulated_is_said_in_banner_pill_and_title(live):
     assert "SIMULATED" in live.window.windowTitle()
     assert live.window._banner.isVisible()
     assert "simulated" in live.bar.pill.state.note
-    assert live.bar._estop.text() == "none (simulated)"
+    assert live.bar._estop.text() == "none"
 
 
 def test_closing_while_running_asks_and_stops_first(live, bench):

@@ -19,6 +19,7 @@ from PySide6.QtWidgets import QApplication
 
 import app.start
 from app.application import TouchdownApp
+from app.label.words import QUEUES as LISTED
 from backend.runs.store import data_folder
 
 KEY = Qt.Key
@@ -27,7 +28,7 @@ CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModi
 ALT = Qt.KeyboardModifier.AltModifier
 TURN_MS = 3
 PATIENCE_S = 40.0
-QUEUES = {"unlabelled": 0, "review": 1, "returned": 2, "audit": 8}
+QUEUES = {name: row for row, (name, _) in enumerate(LISTED)}
 """Rows of the list that Ctrl+J opens."""
 WAYS = 7
 """So many ways to come to a decision are taken in turn."""
@@ -76,7 +77,7 @@ class Person:
         return (
             p is not None
             and p.walk.begun
-            and not (p.saving.busy or p.nudging or self.page.choice.isVisible())
+            and not (p.saving.busy or p.editing.waits or self.page.choice.isVisible())
             and self.page.strip.saved != "unsaved"
         )
 

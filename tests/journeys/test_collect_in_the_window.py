@@ -96,7 +96,7 @@ def test_collect_discard_and_go_on_after_a_stop(desk, qtbot, isolated_settings):
     assert page.coverage.scene.bins.counts.sum() == 1
 
     press(main, KEY.Key_Backspace)
-    turn_until(desk, qtbot, lambda: asked() and len(presenter.harvest) == 2)
+    turn_until(desk, qtbot, lambda: asked() and len(presenter.probes.harvest) == 2)
     assert dataset.entry(first.uuid).deleted
     assert page.target.bar.value() == 1
     assert len(page.distribution.scene.points_mm) == 1
@@ -110,7 +110,7 @@ def test_collect_discard_and_go_on_after_a_stop(desk, qtbot, isolated_settings):
     turn_until(desk, qtbot, lambda: page.target.go_on.isEnabled())
 
     press(main, KEY.Key_F5, Qt.KeyboardModifier.ShiftModifier)
-    turn_until(desk, qtbot, lambda: asked() and len(presenter.harvest) == 3)
+    turn_until(desk, qtbot, lambda: asked() and len(presenter.probes.harvest) == 3)
     press(main, KEY.Key_Return)
     turn_until(desk, qtbot, lambda: session.status().state is RunState.IDLE)
     assert page.target.bar.value() == page.target.bar.maximum() == 2

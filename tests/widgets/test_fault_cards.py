@@ -64,3 +64,20 @@ def test_a_repetition_rises_and_a_success_withdraws_refusals_alone(cards):
     assert not cards.card("FT-TRIP").more.isVisibleTo(cards)
     cards.clear()
     assert cards.isHidden()
+
+
+def test_notices_of_one_start_are_cards_of_their_own_and_none_makes_room(cards):
+    """Two things that a dataset healed are not one thing that happened twice."""
+
+    def notice(what):
+        return CardText("DATASET", what, "", "", reset=False, notice=True)
+
+    for what in ("A folder was torn.", "The disk is nearly full.", "A folder was torn."):
+        cards.show_card(notice(what))
+    assert cards.codes == ("DATASET", "DATASET")
+    assert cards.card("DATASET").count == 2
+    for code in "ABCDEF":
+        cards.show_card(refused(code))
+    assert cards.codes.count("DATASET") == 2
+    cards.card("DATASET")._act()
+    assert cards.codes.count("DATASET") == 1, "each is dismissed by itself"

@@ -98,7 +98,7 @@ class TestOffsetView:
         drawn = []
         from widgets import offset_marks
 
-        for name in ("draw_grid", "draw_ghosts"):
+        for name in ("draw_bottom", "draw_ghosts"):
             real = getattr(offset_marks, name)
             monkeypatch.setattr(
                 offset_marks, name, lambda *a, n=name, r=real: drawn.append(n) or r(*a)
@@ -106,10 +106,10 @@ class TestOffsetView:
         for k in range(5):
             view.show_scene(scene((2.0 + 0.1 * k, 0.0)))
             view.grab()
-        assert drawn == ["draw_grid", "draw_ghosts"]
+        assert drawn == ["draw_bottom", "draw_ghosts"]
         view.show_scene(scene((2.0, 0.0), (Ghost("model", (3.0, 0.0), 0.8),)))
         view.grab()
-        assert drawn == ["draw_grid", "draw_ghosts", "draw_ghosts"]
+        assert drawn == ["draw_bottom", "draw_ghosts", "draw_ghosts"]
 
 
 def test_verdicts_in_words():

@@ -57,22 +57,26 @@ def test_a_slow_view_does_not_starve_the_others(qapp, clock):
     pump = Pump(owner, lambda: False, now_s=clock)
     for name, cost_s in (("slow", 0.030), ("a", 0.001), ("b", 0.001)):
         pump.add(view(name, cost_s))
-    for _ in range(9):
+    for _ in range(18):
         pump.tick()
-        clock.s += 0.033
+        clock.s += 0.016
     counts = {name: drawn.count(name) for name in ("slow", "a", "b")}
     assert min(counts.values()) >= 4
 
 
-def test_a_light_load_draws_everything_every_tick(qapp, clock):
+def test_neighbours_are_drawn_in_turn_each_as_often(qapp, clock):
     owner = QObject()
     drawn = []
     pump = Pump(owner, lambda: False, now_s=clock)
     pump.add(lambda: drawn.append("a"))
     pump.add(lambda: drawn.append("b"))
+    pump.add(lambda: drawn.append("c"))
     pump.tick()
+    assert drawn == ["a", "c"]
     pump.tick()
-    assert drawn == ["a", "b", "a", "b"]
+    assert drawn == ["a", "c", "b"]
+    pump.tick()
+    assert drawn == ["a", "c", "b", "a", "c"]
     assert BUDGET_S == 0.008
 
 
@@ -102,3 +106,18 @@ def test_an_unchanged_count_is_not_new():
     assert fresh.judge(9.0) is Age.GONE
     assert fresh.note(8, 9.0)
     assert fresh.judge(9.0) is Age.FRESH
+
+
+def test_nothing_is_drawn_and_nothing_lost_while_a_decision_is_due(qapp, clock):
+    owner, drawn, facts, hushed = QObject(), [], deque(range(3)), [True]
+
+    def pull():
+        return bool(facts) and facts.popleft() >= 0
+
+    pump = Pump(owner, pull, hold=lambda: hushed[0], now_s=clock)
+    pump.add(lambda: drawn.append("view"))
+    pump.tick()
+    assert (drawn, len(facts)) == ([], 3)
+    hushed[0] = False
+    pump.tick()
+    assert (drawn, len(facts)) == (["view"], 0)

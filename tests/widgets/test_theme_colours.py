@@ -1,5 +1,7 @@
 """Every token pair that is shown together can be read, with normal and with other colour vision."""
 
+import re
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QComboBox, QLineEdit, QPushButton, QSpinBox
 
+from widgets.arrows import BIN_COLOURS
 from widgets.style_sheet import style_sheet
 from widgets.theme import CONTRAST, DARK, LIGHT, contrast_ratio, load_resources
 
@@ -77,6 +80,54 @@ def test_borders_and_focus_are_seen(tokens):
         for ground in ("panel", "raised", "bg"):
             assert ratio(tokens, line, ground) >= 3.0
     assert ratio(tokens, "selection_text", "selection") >= 4.5
+
+
+def rules_of(tokens) -> dict[str, dict[str, str]]:
+    """Return the colours that the style sheet gives to each selector."""
+    rules: dict[str, dict[str, str]] = {}
+    for selectors, body in re.findall(r"([^{}]+)\{([^{}]*)\}", style_sheet(tokens.as_dict(), 10.0)):
+        told = dict(re.findall(r"(?:^|[;\s])(color|background)\s*:\s*(#[0-9A-Fa-f]{6})", body))
+        for selector in selectors.split(","):
+            rules.setdefault(selector.strip(), {}).update(told)
+    return rules
+
+
+@pytest.mark.parametrize("tokens", THEMES, ids=IDS)
+def test_every_pair_of_the_style_sheet_can_be_read(tokens):
+    """Ink and ground of every rule; what a rule does not say comes from the rule it refines."""
+    rules, pairs = rules_of(tokens), 0
+    for selector in rules:
+        role = re.sub(r":[a-z-]+$", "", selector)
+        found = [rules.get(name, {}) for name in (selector, role, re.sub(r"\[.*", "", role))]
+        ink, ground = (
+            next((rule[what] for rule in found if what in rule), None)
+            for what in ("color", "background")
+        )
+        if ink is None or ground is None or ("::" in selector and "item" not in selector):
+            continue
+        pairs += 1
+        least = 3.0 if ":disabled" in selector else 4.5
+        assert contrast_ratio(QColor(ink), QColor(ground)) >= least, selector
+    assert pairs > 25
+
+
+def test_the_reading_of_rules_can_fail():
+    pale = replace(LIGHT, muted=LIGHT.hairline)
+    with pytest.raises(AssertionError):
+        test_every_pair_of_the_style_sheet_can_be_read(pale)
+
+
+@pytest.mark.parametrize("tokens", THEMES, ids=IDS)
+def test_lines_of_the_plots_are_seen_on_both_grounds(tokens):
+    for line in ("axis_x", "axis_y", "axis_z", "good", "bad", "focus", "text", "muted"):
+        for ground in ("bg", "panel"):
+            assert ratio(tokens, line, ground) >= 3.0, (line, ground)
+
+
+def test_arrows_are_seen_on_the_dimmed_gel():
+    """The grey of a gel's picture at 70 %, as it was measured for the arrow colours."""
+    for colour in BIN_COLOURS:
+        assert contrast_ratio(QColor(colour), QColor("#464646")) >= 3.0
 
 
 @pytest.mark.parametrize("tokens", THEMES, ids=IDS)

@@ -120,7 +120,7 @@ class Desk:
     def is_quiet(self) -> bool:
         QApplication.processEvents()
         p = self.workspace.presenter
-        return p is not None and not p.saving.busy and not p.nudging and p.walk.begun
+        return p is not None and not p.saving.busy and not p.editing.waits and p.walk.begun
 
     def do(self, *keys) -> None:
         """Press keys one after the other, each after the one before has had its effect."""

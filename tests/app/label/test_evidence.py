@@ -21,15 +21,23 @@ IMAGES = (np.zeros((48, 64, 3), np.uint8),) * 2
 
 def edit(x_mm=1.0, sigma_mm=0.15):
     label = Label(round(1e3 * x_mm), 0, 0, round(1e3 * sigma_mm))
-    head = SimpleNamespace(label=label, source="measured")
+    head = SimpleNamespace(label=label, source="measured", rev_uuid="r1")
     return Edit(head, label, "measured")
 
 
-def item(seen=None, model=None, pictures=True):
+def item(seen=None, model=None, pictures=True, doubt=None):
     place = None if seen is None else OffsetFit(seen, 0.12)
     scene = SceneEvidence(IMAGES, BOARD, place) if pictures else None
     felt = None if model is None else ModelLabel(OffsetFit(model, 0.5), 0.1, "ab" * 32)
-    return SimpleNamespace(scene=scene, model=felt)
+    return SimpleNamespace(scene=scene, model=felt, doubt=doubt)
+
+
+def replace_doubt(seen, doubt):
+    return SimpleNamespace(scene=seen.scene, model=seen.model, doubt=doubt)
+
+
+def replace_base(now, rev_uuid):
+    return replace(now, base=SimpleNamespace(**{**vars(now.base), "rev_uuid": rev_uuid}))
 
 
 class TestBadge:
@@ -45,6 +53,13 @@ class TestBadge:
     def test_without_a_measured_face_the_model_speaks(self, pictures):
         (badge,) = badges_of(edit(1.0), item(None, model=(9.0, 0.0), pictures=pictures))
         assert badge.startswith("model 15")
+
+    def test_the_other_episodes_are_asked_before_the_model(self):
+        seen = item(None, model=(9.0, 0.0), pictures=False, doubt=("r1", 16.0))
+        assert badges_of(edit(1.0), seen) == ("signals 4.0 \u03c3 off",)
+        assert badges_of(edit(1.0), replace_doubt(seen, ("r1", 8.0))) == ()
+        for judged in (edit(1.0).placed(2.0, 0.0), replace_base(edit(1.0), "r2")):
+            assert badges_of(judged, seen)[0].startswith("model")  # another label was judged
 
     def test_a_label_without_displacement_has_none(self):
         blank = replace(edit(), label=Label())

@@ -177,7 +177,7 @@ def test_nothing_is_asked_while_a_displacement_is_being_typed(start):
     desk = start(sigma_mm=None)
     desk.press(KEY.Key_Right)
     desk.type("-3.2")
-    desk.workspace.presenter._nudged()  # the half second is over
+    desk.workspace.presenter.editing.nudged()  # the half second is over
     assert not desk.page.choice.isVisible()
     desk.type(",4.5")
     assert desk.page.entry.text() == "-3.2,4.5"

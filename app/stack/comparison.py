@@ -1,0 +1,161 @@
+"""Presenter of the comparison: the question in the form, and how each strategy answered it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from PySide6.QtWidgets import QWidget
+
+from app.activity import busy, why_no_run
+from app.link import Link
+from app.outlines import outlines
+from app.run_story import RunStory, TrialStory, scene_of
+from app.stack.rivals import Asked, Rivals, asked
+from backend.core.facts import Fact
+from backend.core.flow import Outcome
+from backend.runs.requests import StackRequest, Strategy
+from widgets.belief_scene import BeliefScene
+from widgets.comparison_sheet import ComparisonSheet, RivalLook
+from widgets.run_panel import STRATEGIES
+from widgets.score_panel import WORDS
+from widgets.theme import Theme
+
+BOTH: tuple[Strategy, Strategy] = ("paper", "pick-and-place")
+NOT_RUN = BeliefScene(empty=("Not run yet", "Run it with the same seed."))
+NO_MAP = BeliefScene(empty=("No belief", "This strategy lets go without a probe."))
+
+
+class Comparison:
+    """``request`` returns what the form asks; ``start`` begins a run and shows a refusal itself."""
+
+    def __init__(
+        self,
+        link: Link,
+        theme: Theme,
+        request: Callable[[], StackRequest],
+        start: Callable[[StackRequest], bool],
+    ) -> None:
+        self._link, self._theme, self._request, self._start = link, theme, request, start
+        self._rivals = Rivals()
+        self._question: StackRequest | None = None
+        self._waiting: list[Strategy] = []
+        self._drawn: tuple[object, ...] = ()
+        self.sheet: ComparisonSheet | None = None
+
+    def take(self, fact: Fact) -> None:
+        """Follow all runs, also while the sheet is closed."""
+        self._rivals.take(fact)
+
+    def open(self, window: QWidget) -> None:
+        """Compare what the form asks now."""
+        if self.sheet is None:
+            self.sheet = ComparisonSheet(window, self._theme, self.run_missing, self._choose)
+        if not self._waiting:
+            self._question = self._request()
+        self._drawn = ()
+        self.sheet.open_large()
+        self.draw()
+
+    def run_missing(self) -> None:
+        """Run each strategy that has not answered yet, one after the other."""
+        if self._question is not None and not self._waiting and not busy(self._link):
+            missing = self._missing(self._question)
+            self._waiting = missing or list(BOTH)
+            self._next()
+
+    def draw(self) -> None:
+        """Go on with the next strategy; show what changed."""
+        if self._waiting and not busy(self._link):
+            self._next()
+        if self.sheet is None or not self.sheet.isVisible() or self._question is None:
+            return
+        question = asked(self._question)
+        stories = [self._rivals.story(question, strategy) for strategy in BOTH]
+        versions = tuple(None if story is None else story.version for story in stories)
+        active = busy(self._link)
+        drawn = (question, versions, self.sheet.trial.value(), active, self._link.interlock.latched)
+        if drawn == self._drawn:
+            return
+        self._drawn = drawn
+        self._show(self.sheet, question, stories, active=active)
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _next(self) -> None:
+        """Start the next strategy; a run that did not end well ends the series."""
+        assert self._question is not None
+        question = asked(self._question)
+        before = [s for s in BOTH if s not in self._waiting]
+        last = self._rivals.story(question, before[-1]) if before else None
+        if last is not None and last.ended is None:
+            return
+        if last is not None and not _answered(last):
+            self._waiting = []
+            return
+        strategy = self._waiting.pop(0)
+        if not self._start(replace(self._question, strategy=strategy)):
+            self._waiting = []
+
+    def _missing(self, request: StackRequest) -> list[Strategy]:
+        return [s for s in BOTH if not _answered(self._rivals.story(asked(request), s))]
+
+    def _show(
+        self,
+        sheet: ComparisonSheet,
+        question: Asked,
+        stories: list[RunStory | None],
+        *,
+        active: bool,
+    ) -> None:
+        assert self._question is not None
+        piece, bottom, seed, trials = question
+        sheet.head.setText(
+            f"{piece} on {bottom}, seed {seed}, {trials} trials".replace("+", " on ")
+        )
+        sheet.trial.setRange(1, trials)
+        at, titles = sheet.trial.value() - 1, dict(STRATEGIES)
+        for panel, strategy, story in zip(sheet.panels, BOTH, stories, strict=True):
+            panel.show_look(self._look(titles[strategy], story, trials, at))
+        missing = self._missing(self._question)
+        text = "" if active else "Run both" if len(missing) == 2 else "Run the other one"
+        if not missing:
+            text = "" if active else "Run both again"
+        sheet.show_run(text, "" if active else why_no_run(self._link))
+
+    def _look(self, title: str, story: RunStory | None, trials: int, at: int) -> RivalLook:
+        if story is None:
+            return RivalLook(title, trials=trials, scene=NOT_RUN)
+        placed = sum(outcome is Outcome.PLACED for outcome in story.outcomes)
+        count = f"{placed} of {len(story.outcomes)} placed"
+        if at >= len(story.trials):
+            return RivalLook(title, story.outcomes, trials, count)
+        trial = story.trials[at]
+        words, good = _words(trial)
+        return RivalLook(
+            title, story.outcomes, trials, count, words, good, self._scene(story, trial)
+        )
+
+    def _scene(self, story: RunStory, trial: TrialStory) -> BeliefScene:
+        felt = [k for k, look in enumerate(trial.probes) if look.belief is not None]
+        if not felt:
+            return NO_MAP
+        return scene_of(trial, felt[-1], *outlines(self._link.catalogue, story.head))
+
+    def _choose(self, _trial: int) -> None:
+        self._drawn = ()
+        self.draw()
+
+
+def _answered(story: RunStory | None) -> bool:
+    return story is not None and story.ended is not None and story.ended.ending == "finished"
+
+
+def _words(trial: TrialStory) -> tuple[str, bool | None]:
+    """Return how a trial went and whether that is good (None: it still goes on)."""
+    done = trial.finished
+    if done is None:
+        return f"{trial.phase or 'begun'} \N{HORIZONTAL ELLIPSIS}", None
+    probes = "1 probe" if done.probes == 1 else f"{done.probes} probes"
+    good = done.outcome is Outcome.PLACED
+    return f"{WORDS[done.outcome].capitalize()} after {probes}. {done.reason}", good

@@ -1,0 +1,159 @@
+"""The tour of the window: which places it shows, and how one goes through them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from PySide6.QtCore import QEvent, QObject, QPoint, QRect
+from PySide6.QtWidgets import QApplication, QScrollArea, QWidget
+
+from app.collect.workspace import COLLECT, CollectWorkspace
+from app.main_window import MainWindow
+from app.operate.workspace import OperateWorkspace
+from app.review.workspace import ReviewWorkspace
+from app.stack.workspace import StackWorkspace
+from app.train.workspace import TrainWorkspace
+from app.workspace import Workspace
+from widgets.theme import Theme
+from widgets.top_bar import TopBar
+from widgets.tour_card import RING_PX, Spotlight, TourCard, TourStop
+
+
+class Tour(QObject):
+    """``make`` gives the stops when it begins; ``done`` is told when it ends, however it ends."""
+
+    def __init__(
+        self,
+        theme: Theme,
+        window: MainWindow,
+        make: Callable[[], Sequence[TourStop]],
+        go: Callable[[str], None],
+        done: Callable[[], None],
+    ) -> None:
+        super().__init__(window)
+        self._theme, self._window, self._make = theme, window, make
+        self._go, self._done = go, done
+        self.stops: Sequence[TourStop] = ()
+        self.at = -1
+        self.spotlight: Spotlight | None = None
+        self.card: TourCard | None = None
+
+    @property
+    def active(self) -> bool:
+        """Whether it is on."""
+        return self.at >= 0
+
+    def begin(self) -> None:
+        """Begin with the first stop."""
+        self.end()
+        self.spotlight = Spotlight(self._theme, self._window)
+        self.card = TourCard(self._window, self.turn, self.end)
+        self.stops, self.at = self._make(), 0
+        self._window.installEventFilter(self)
+        self._show()
+
+    def turn(self, by: int) -> None:
+        """Go on, or back; past the last stop it ends."""
+        self.at += by
+        if self.at >= len(self.stops):
+            self.end()
+        else:
+            self.at = max(self.at, 0)
+            self._show()
+
+    def end(self) -> None:
+        """End; ending twice is harmless."""
+        if not self.active or self.card is None or self.spotlight is None:
+            return
+        self.at = -1
+        self._window.removeEventFilter(self)
+        for widget in (self.card, self.spotlight):
+            widget.hide()
+            widget.deleteLater()
+        self.card = self.spotlight = None
+        self._done()
+
+    def eventFilter(self, _watched: QObject, event: QEvent) -> bool:
+        """Follow the window's size."""
+        if event.type() is QEvent.Type.Resize:
+            self.fit()
+        return False
+
+    def fit(self) -> None:
+        """Stand where the place is now."""
+        if not self.active or self.card is None or self.spotlight is None:
+            return
+        hole = self._hole(self.stops[self.at].place)
+        self.spotlight.show_hole(hole)
+        self.card.fit(hole)
+        self.card.raise_()
+
+    def _show(self) -> None:
+        stop = self.stops[self.at]
+        if stop.workspace and stop.workspace != self._window.front:
+            self._go(stop.workspace)
+        # The page that came to the front has its places only after its layout.
+        QApplication.sendPostedEvents(None, QEvent.Type.LayoutRequest)
+        scroll = _scroll_of(stop.place)
+        if scroll is not None:
+            scroll.ensureWidgetVisible(stop.place)
+        assert self.card is not None
+        self.card.show_stop(stop, self.at, len(self.stops))
+        self.fit()
+
+    def _hole(self, place: QWidget) -> QRect:
+        if not place.isVisibleTo(self._window):
+            return QRect()
+        corner = place.mapTo(self._window, QPoint(0, 0))
+        lit = QRect(corner, place.size()).adjusted(-RING_PX, -RING_PX, RING_PX, RING_PX)
+        return lit.intersected(self._window.rect())
+
+
+def stops_of(
+    window: MainWindow, bar: TopBar, workspaces: Mapping[str, Workspace]
+) -> tuple[TourStop, ...]:
+    """Return the stops, in the order of a day at the bench."""
+    operate, collect = workspaces["operate"], workspaces["collect"]
+    train, stack, review = workspaces["train"], workspaces["stack"], workspaces["review"]
+    assert isinstance(operate, OperateWorkspace)
+    assert isinstance(collect, CollectWorkspace)
+    assert isinstance(train, TrainWorkspace)
+    assert isinstance(stack, StackWorkspace)
+    assert isinstance(review, ReviewWorkspace)
+    collect.page.bring(COLLECT)
+    return (
+        TourStop("", bar.pill, "This bench is simulated",
+                 "Fingers, wrench, arm and gripper are computed, so nothing can break. Here stands "
+                 "what the bench is doing; the devices beside it open their raw fields."),
+        TourStop("", bar.stop, "STOP is everywhere",
+                 "It halts arm and gripper at once and keeps the grip. F12 does the same from "
+                 "every page, dialog and text field. Then look at the bench and press Reset."),
+        TourStop("", window.rail["operate"], "Five workspaces",
+                 "Operate, Collect & Label, Train, Stack, Review: Ctrl+1 to Ctrl+5."),
+        TourStop("operate", operate.page.jog, "Move by hand",
+                 "Hold a pad: the arm moves as long as you hold it, or one step a press. Every pad "
+                 "says how far it may go."),
+        TourStop("operate", operate.page.probe, "Probe once",
+                 "Presses where the arm stands, and tells what was felt (F5)."),
+        TourStop("collect", collect.collect_page.target, "Collect, then label",
+                 "So many labelled probes of one pair, here. F2 changes to labelling."),
+        TourStop("train", train.page.form, "Train a model",
+                 "On the labelled probes; curves, samples and comparison stand beside it."),
+        TourStop("stack", stack.page.run, "Stack by touch",
+                 "Press Start stacking: the piece is pressed on, felt, shifted, and let go where "
+                 "it will stand. The belief map and the decision in words follow every probe."),
+        TourStop("review", review.page.runs, "Look at it again",
+                 "Every run is kept: pictures, wrench, belief and decision on one line of time."),
+        TourStop("", window.rail["keys"], "Find your way",
+                 "Ctrl+K finds every command, F1 shows all keys. 'Layout' arranges the columns of "
+                 "a workspace. This tour is in the palette too: Ctrl+K, tour."),
+    )  # fmt: skip
+
+
+def _scroll_of(place: QWidget) -> QScrollArea | None:
+    parent = place.parentWidget()
+    while parent is not None:
+        if isinstance(parent, QScrollArea):
+            return parent
+        parent = parent.parentWidget()
+    return None

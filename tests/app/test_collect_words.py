@@ -1,0 +1,56 @@
+"""What the Collect half says: recorder, time left, an empty pair, notes of the origin."""
+
+import math
+
+import pytest
+
+from app.collect.gauge import Pace, RecorderGauge, time_words
+from app.collect.harvest import Harvest, pair_words
+from app.collect.origin import OriginNote, note_of, residual_words
+from backend.objects.catalogue import load_catalogue
+
+
+def test_the_gauge_counts_bytes_of_the_last_two_minutes(tmp_path):
+    gauge = RecorderGauge()
+    assert gauge.bytes_a_minute(0.0) == 0.0
+    for second in range(0, 61, 10):
+        gauge.note(float(second), 2_000_000)
+    assert gauge.bytes_a_minute(60.0) == pytest.approx(12e6)
+    assert gauge.bytes_a_minute(1000.0) == 0.0
+    assert "GB free, 0.0 MB/min" in gauge.words(tmp_path, 1000.0)
+    assert "does not answer" in gauge.words(tmp_path / "gone", 1000.0)
+
+
+def test_the_time_left_follows_the_last_probes():
+    pace = Pace()
+    pace.restart(0.0)
+    assert pace.words(10) == ""
+    for k in range(1, 5):
+        pace.note(12.0 * k)
+    assert pace.words(10) == "10 left, about 2 min at 12.0 s each"
+    assert pace.words(0) == ""
+    assert time_words(3 * 86400) == "3 days"
+    assert time_words(3.5 * 3600) == "3 h 30 min"
+
+
+def test_a_pair_without_a_probe_has_holes_only():
+    catalogue = load_catalogue()
+    harvest = Harvest(catalogue.piece("pot").face, catalogue.piece("circle15").face)
+    assert harvest.covered.covered == 0.0
+    assert harvest.newest == ""
+    assert len(harvest.distribution(0, "").points_mm) == 0
+
+
+def test_notes_that_make_no_sense_are_refused():
+    assert note_of(None) is None
+    for bad in (3, {}, {"residual_mm": [1], "sigma_mm": 1, "at": "", "agrees": 1, "used": 0}):
+        with pytest.raises(ValueError, match="no note"):
+            note_of(bad)
+    far = OriginNote((1.0, 0.0), 0.1, False, "2026-01-01 10:00")
+    assert "does not agree" in residual_words(far)
+
+
+def test_a_displacement_in_words():
+    assert pair_words((1.234, -0.3)) == "+1.2, \N{MINUS SIGN}0.3"
+    assert pair_words((1.234, -0.3), 2, " mm") == "+1.23, \N{MINUS SIGN}0.30 mm"
+    assert pair_words((math.nan, math.nan), 2, " mm") == "none"

@@ -1,0 +1,289 @@
+"""Renders every workspace and every important state to PNG, to be looked at (``make screens``).
+
+The window stands on the stand-in bench and on a small dataset that is made here; nothing is taken
+from this computer's own data.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+
+import numpy as np
+from PySide6.QtCore import QDeadlineTimer, QEventLoop
+from PySide6.QtGui import QPainter
+from PySide6.QtWidgets import QApplication
+
+from app.application import TouchdownApp
+from app.error_hooks import ErrorBox
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.values import EpisodeContext, Label
+from backend.core.flow import Outcome, PlaceAction
+from backend.objects.catalogue import load_catalogue
+from backend.runs.requests import RunState
+from tests.app.label.conftest import make_episode
+from tests.app.stand_in import StandInBench
+from widgets.fault_cards import CardText, Question
+
+SIZES = ((1280, 720), (1600, 940))
+THEMES = ("dark", "light", "contrast")
+
+
+def main(argv: list[str]) -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.screens", description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("output/screens"))
+    parser.add_argument("--themes", nargs="*", default=list(THEMES), choices=THEMES)
+    parser.add_argument("--sizes", nargs="*", default=[f"{w}x{h}" for w, h in SIZES])
+    parser.add_argument("--scale", default="1", help="device pixels per pixel: 1, 1.25, 1.5, 2")
+    parser.add_argument("--only", default="", help="states whose name begins so")
+    args = parser.parse_args(argv)
+    os.environ["QT_SCALE_FACTOR"] = args.scale
+    with tempfile.TemporaryDirectory() as folder:
+        for name in ("TOUCHDOWN_DATA", "TOUCHDOWN_CONFIG"):
+            os.environ[name] = folder
+        return _render(args, Path(folder))
+
+
+def _render(args: argparse.Namespace, folder: Path) -> int:
+    application = QApplication([])
+    _make_dataset(folder / "dataset")
+    count = 0
+    for theme in args.themes:
+        for size in args.sizes:
+            width, height = (int(part) for part in size.split("x"))
+            out = args.out / f"{theme}-{size}"
+            out.mkdir(parents=True, exist_ok=True)
+            stage = Stage(application, folder / f"{theme}-{size}", theme)
+            stage.main.window.resize(width, height)
+            for name in stage.states():
+                if name.startswith(args.only):
+                    stage.settle()
+                    stage.grab(out / f"{name}.png")
+                    count += 1
+            stage.close()
+    sys.stdout.write(f"{count} pictures in {args.out}\n")
+    return 0
+
+
+def _make_dataset(folder: Path) -> None:
+    """Make 24 labelled probes of a pot on a disc."""
+    catalogue = load_catalogue()
+    with Dataset.open(folder, person="setup") as dataset:
+        pair = dataset.geometry.store_pair(catalogue.piece("pot"), catalogue.piece("circle15"))
+        for seed in range(24):
+            context = EpisodeContext("series", "circle15", pair, "setup", f"g{seed // 4}", "m1")
+            episode = make_episode(seed, frames=8)
+            x_um, y_um = np.rint(1e3 * episode.offset_mm).astype(int).tolist()
+            label = Label(x_um, y_um, 0, 300) if seed < 20 else Label()
+            dataset.record(episode, label, source="commanded", context=context)
+
+
+class Stage:
+    """One window and the states it is brought into, in this order."""
+
+    def __init__(self, application: QApplication, folder: Path, theme: str) -> None:
+        folder.mkdir()
+        self._application, self.bench = application, StandInBench()
+        self.main = TouchdownApp(application, ErrorBox(), folder / "window.json", folder / "runs")
+        self.main.look.show(theme, 1.0)
+        self.main.window.show()
+
+    def settle(self) -> None:
+        for _ in range(20):
+            self.main.pump.tick()
+            QApplication.processEvents()
+        commits = self.main.workspaces["collect"].label.commits
+        until = QDeadlineTimer(3000)
+        while commits is not None and commits.busy and not until.hasExpired():
+            QApplication.processEvents(QEventLoop.ProcessEventsFlag.WaitForMoreEvents, 20)
+            self.main.pump.tick()
+
+    def grab(self, path: Path) -> None:
+        """Save the window with whatever dialog or menu stands over it."""
+        window = self.main.window
+        picture = window.grab()
+        painter = QPainter(picture)
+        for top in QApplication.topLevelWidgets():
+            if top is not window and top.isVisible():
+                corner = top.mapToGlobal(top.rect().topLeft())
+                painter.drawPixmap(corner - window.mapToGlobal(window.rect().topLeft()), top.grab())
+        painter.end()
+        picture.save(str(path))
+
+    def close(self) -> None:
+        self.main.quit_at_once()
+        self.main.close()
+        self.main.window.deleteLater()
+        self.main.deleteLater()
+
+    def states(self) -> Iterator[str]:
+        """Bring the window into each state and yield its name."""
+        yield from self._without_a_bench()
+        self.main.attach(self.bench)
+        # Data are old by the bench's own clock only: drawing pictures takes its time.
+        live = [getattr(ws, "live", None) for ws in self.main.workspaces.values()]
+        for follower in (self.main._chips, *filter(None, live)):
+            follower._now_s = self.bench.clock_s
+        yield from self._operate()
+        yield from self._collect_and_label()
+        yield from self._train_and_review()
+        yield from self._stack()
+        yield from self._faults()
+        yield from self._dialogs()
+        yield from self._large_text()
+
+    def _without_a_bench(self) -> Iterator[str]:
+        for page in ("operate", "stack"):
+            self.main.go(page)
+            yield f"connecting-{page}"
+        self.main._connect_failed(RuntimeError("the model of the pot is missing"))
+        yield "no-bench"
+        self.main.cards.clear(self.main.cards.codes)
+
+    def _operate(self) -> Iterator[str]:
+        main, page = self.main, self.main.workspaces["operate"].page
+        main.go("operate")
+        self.live(0.0)
+        yield "operate-air"
+        self.live(1.0)
+        for look in range(page.looks.count()):
+            page.looks.setCurrentIndex(look)
+            yield f"operate-contact-look-{look}"
+        page.looks.setCurrentIndex(0)
+        page.jog.show_armed(True)
+        page.jog._steps[2].setChecked(True)
+        yield "operate-keys-armed"
+        page.jog.show_armed(False)
+        self.bench._now_us += 1_200_000
+        yield "operate-stale"
+        self.live(1.0)
+
+    def _collect_and_label(self) -> Iterator[str]:
+        main, collect = self.main, self.main.workspaces["collect"]
+        main.go("collect")
+        self.live(0.0)
+        yield "collect-nobody"
+        collect.label.be("Ann")
+        self.settle()
+        yield "collect"
+        self.bench.set_state(RunState.RUNNING, trial=3, trials=20, probe=3, phase="press")
+        self.live(1.0)
+        yield "collect-running"
+        self.bench.set_state(RunState.IDLE, trial=0, trials=0, probe=0, phase="")
+        collect.page.show_half("label")
+        self.settle()
+        yield "label"
+        collect.page.show_half("collect")
+
+    def _train_and_review(self) -> Iterator[str]:
+        for page in ("train", "review"):
+            self.main.go(page)
+            yield page
+
+    def _stack(self) -> Iterator[str]:
+        main, bench = self.main, self.bench
+        main.go("stack")
+        self.live(0.0)
+        yield "stack-ready"
+        bench.tell_start()
+        bench.set_state(RunState.RUNNING, trial=1, trials=3, probe=1, phase="press")
+        self.live(1.0)
+        yield "stack-first-press"
+        bench.tell_probe(1, (7.2, 3.1), -2.1)
+        bench.tell_probe(2, (4.6, 2.0), -0.4)
+        waits = PlaceAction("shift", (-2.0, -0.9), (0.3, -0.2), True, "")
+        bench.set_state(RunState.RUNNING, awaiting=waits, probe=2)
+        yield "stack-your-turn"
+        bench.tell_probe(3, (2.1, 0.9), 1.6)
+        bench.tell_end()
+        bench.set_state(RunState.IDLE, awaiting=None, trial=0, probe=0, phase="")
+        self.live(0.0)
+        yield "stack-placed"
+        bench.tell_trial(2)
+        bench.tell_probe(1, (6.0, -3.0), 0.5)
+        bench.tell_end(Outcome.FELL, -0.8)
+        bench.tell_finish()
+        yield "stack-fell"
+        main.actions.action("stack.compare").trigger()
+        yield "stack-comparison"
+        main.workspaces["stack"].comparison.sheet.close()
+
+    def _faults(self) -> Iterator[str]:
+        main, bench = self.main, self.bench
+        for what in (
+            "A folder was torn; its whole chunks were copied.",
+            "The disk is nearly full.",
+        ):
+            main.cards.show_card(CardText("DATASET", what, "", "", reset=False, notice=True))
+        yield "notices"
+        main.cards.clear(main.cards.codes)
+        bench.tell_fault()
+        yield "fault"
+        main.stop()
+        yield "stopped-and-fault"
+        main.cards.card("STOPPED").more.click()
+        yield "cards-unfolded"
+        main.reset()
+        answers = (("Keep holding", list), ("Open and let it go", list))
+        main.cards.ask(Question("A piece is held. Opening lets it go.", answers))
+        yield "question"
+        main.cards.withdraw()
+
+    def _dialogs(self) -> Iterator[str]:
+        main, bar = self.main, self.main.bar
+        for action, sheet in (("palette", "palette"), ("keys", "sheet")):
+            main.actions.action(action).trigger()
+            yield f"dialog-{action}"
+            getattr(main.dialogs, sheet).close()
+        bar.chips["force_torque"].clicked.emit()
+        yield "dialog-inspector"
+        main.inspect.sheet.close()
+        main.layouts.toggle_lock()
+        main.actions.action("layouts").trigger()
+        yield "layouts-unlocked"
+        main.layout_menu.menu.close()
+        main.layouts.turn_panel("stack", "Force and moment")
+        yield "stack-without-traces"
+        main.layouts.reset("stack")
+        main.layouts.toggle_lock()
+        main.actions.action("save-layout").trigger()
+        yield "dialog-name"
+        main.layout_menu.asker.close()
+        main.tour.begin()
+        for stop in (0, 3, 7):
+            while main.tour.at < stop:
+                main.tour.turn(1)
+            self.settle()
+            main.tour.fit()
+            yield f"tour-{stop}"
+        main.tour.end()
+
+    def _large_text(self) -> Iterator[str]:
+        main = self.main
+        main.look.show(main.look.choice, 2.0)
+        for page in main.workspaces:
+            main.go(page)
+            self.live(1.0)
+            yield f"text-200-{page}"
+        main.look.show(main.look.choice, 0.8)
+        main.go("operate")
+        yield "text-80-operate"
+        main.look.show(main.look.choice, 1.0)
+
+    def live(self, press: float) -> None:
+        """Let two seconds pass with this share of the press."""
+        self.bench.press = press
+        for _ in range(10):
+            self.bench.turn(0.2)
+            self.main.pump.tick()
+        self.settle()
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -3,7 +3,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup run demo test check lint types contracts format bench fuzz screens models exchange-check clean
+.PHONY: help setup run demo test check lint types contracts format bench fuzz screens pictures models exchange-check clean
 
 export PYTHON
 BIN := .venv/bin
@@ -17,12 +17,13 @@ help: ## list the targets
 setup: ## make .venv ready (quick when nothing changed)
 	@.ci/setup.sh
 
-run: setup ## open the window on the simulated bench
+run: ## open the window on the simulated bench
 	@if [ "$$(uname)" = Linux ] && [ -z "$${DISPLAY:-}$${WAYLAND_DISPLAY:-}$${QT_QPA_PLATFORM:-}" ]; then \
 	    echo "There is no display here, so no window can open."; \
 	    echo "Without a screen the same run works as:  make demo"; \
 	    exit 1; \
 	fi
+	@$(MAKE) --no-print-directory setup
 	@$(BIN)/touchdown app $(ARGS)
 
 demo: setup ## stack three pieces without a screen and leave a report
@@ -53,7 +54,10 @@ bench: setup ## every promised figure next to its target
 fuzz: setup ## throw damaged bytes at every wire decoder (10 min each; MINUTES=1 for less)
 	@OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz.wire --minutes $(MINUTES)
 
-screens: setup ## rewrite the screenshots in docs/img
+screens: setup ## render every workspace and state, in all themes, into output/screens
+	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.screens 2>/dev/null
+
+pictures: setup ## rewrite the screenshots in docs/img
 	@mkdir -p docs/img
 	@for theme in dark light; do \
 	    QT_QPA_PLATFORM=offscreen $(BIN)/touchdown app --theme $$theme --size 1600x940 \

@@ -84,6 +84,29 @@ def lerobot_video(truth: Truth) -> str:
     return f"{dataset.num_episodes} episodes, cameras {', '.join(keys)}"
 
 
+def lerobot_stream(truth: Truth) -> str:
+    """Read all rows one after the other with StreamingLeRobotDataset, and some with their past."""
+    from lerobot.datasets.streaming_dataset import StreamingLeRobotDataset
+
+    root, listed = truth.exports / "lerobot", truth.episodes("lerobot")
+    rows: dict[int, dict[int, dict]] = {}
+    for row in StreamingLeRobotDataset("touchdown/check", root=root, shuffle=False):
+        rows.setdefault(int(row["episode_index"]), {})[int(row["frame_index"])] = row
+    assert {number: len(found) for number, found in rows.items()} == dict.fromkeys(
+        range(len(listed)), 20
+    )
+    for number, episode in enumerate(listed):
+        in_order = [rows[number][k] for k in range(20)]
+        markers, wrench = (np.stack([row[key].numpy() for row in in_order]) for key in OBSERVED)
+        truth.check(episode["uuid"], markers, wrench)
+        assert in_order[0]["task"] == f"press the {episode['piece']} on the {episode['bottom']}"
+    spans = {"observation.ft": [-0.1, 0.0], "action": [0.0, 0.1]}
+    dataset = StreamingLeRobotDataset("touchdown/check", root=root, delta_timestamps=spans)
+    row = next(iter(dataset))
+    assert [tuple(row[key].shape) for key in spans] == [(2, 6), (2, 7)]
+    return f"{len(listed)} episodes, {20 * len(listed)} frames bit-equal, spans of time"
+
+
 def robomimic(truth: Truth) -> str:
     """Load all demos and the training side with SequenceDataset."""
     import robomimic.utils.obs_utils as obs_utils
@@ -141,9 +164,9 @@ def coco(truth: Truth) -> str:
     return f"{len(loaded.imgs)} images, {len(loaded.anns)} annotations, {drawn} masks of their area"
 
 
-CHECKS = {"lerobot": lerobot, "lerobot video": lerobot_video, "robomimic": robomimic,
-          "zarr": zarr, "coco": coco}  # fmt: skip
-PACKAGES = {"coco": "pycocotools", "lerobot video": "lerobot"}
+CHECKS = {"lerobot": lerobot, "lerobot stream": lerobot_stream, "lerobot video": lerobot_video,
+          "robomimic": robomimic, "zarr": zarr, "coco": coco}  # fmt: skip
+PACKAGES = {"coco": "pycocotools", "lerobot video": "lerobot", "lerobot stream": "lerobot"}
 
 
 def main(exports: Path, truth_path: Path) -> int:

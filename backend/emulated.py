@@ -18,7 +18,7 @@ from backend.config.bench_facts import simulated_facts
 from backend.config.hardware import HardwareSettings
 from backend.config.load import load
 from backend.config.method import StackSettings
-from backend.core.clock import MonotonicClock
+from backend.core.clock import BenchClock
 from backend.core.flow import Pose
 from backend.emulated_child import EmulatedProcess
 from backend.emulators.faults import FaultPlan
@@ -136,25 +136,6 @@ class EmulatedBench:
             and {"piece": loaded.card.piece, "weights_sha256": loaded.card.weights_sha256},
             "program": version("touchdown"),
         }
-
-
-class BenchClock:
-    """The wall's time since the bench was made, and waiting on it without drifting away."""
-
-    def __init__(self) -> None:
-        self._wall, self._never = MonotonicClock(), threading.Event()
-        self._begun_s = self._wall.now_s()
-        self._due_s = 0.0
-
-    def now_s(self) -> float:
-        """Return the present time in s."""
-        return self._wall.now_s() - self._begun_s
-
-    def wait(self, step_us: int) -> None:
-        """Wait until a step after the last one; what came too late is not made up."""
-        now_s = self.now_s()
-        self._due_s = max(self._due_s + 1e-6 * step_us, now_s)
-        self._never.wait(self._due_s - now_s)
 
 
 def _jig(scene: Scene) -> Pose | None:

@@ -9,7 +9,8 @@ from typing import Any, Literal
 from backend.config.method import Positive, Settings
 from backend.config.simulation import SimulationSettings
 
-BenchMode = Literal["", "simulated", "hardware"]
+BenchMode = Literal["", "simulated", "emulated", "hardware"]
+"""Emulated: simulated physics behind the protocols and drivers of real devices."""
 
 
 class BenchFacts(Settings):

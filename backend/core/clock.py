@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from typing import Protocol
 
@@ -19,6 +20,25 @@ class MonotonicClock:
     def now_s(self) -> float:
         """Return seconds of ``time.monotonic``."""
         return time.monotonic()
+
+
+class BenchClock:
+    """The wall's time since the bench was made, and waiting on it without drifting away."""
+
+    def __init__(self) -> None:
+        self._never = threading.Event()
+        self._begun_s = time.monotonic()
+        self._due_s = 0.0
+
+    def now_s(self) -> float:
+        """Return the present time in s."""
+        return time.monotonic() - self._begun_s
+
+    def wait(self, step_us: int) -> None:
+        """Wait until a step after the last one; what came too late is not made up."""
+        now_s = self.now_s()
+        self._due_s = max(self._due_s + 1e-6 * step_us, now_s)
+        self._never.wait(self._due_s - now_s)
 
 
 class HandClock:

@@ -5,13 +5,17 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Mapping
+from dataclasses import astuple, replace
 
 from backend.core.faults import RefusedError
 from backend.core.flow import Pose
 from backend.core.stream import SampleStream
+from backend.core.turning import LEVEL_RAD, refuse_turned, turn_of, turned_rad
 from backend.devices.interlock import LEASE_S, Interlock, ReleaseEvidence, release_refusal
-from backend.devices.jog_limits import refuse_forced, room_mm
+from backend.devices.jog_limits import outside_box_mm, refuse_forced, room_mm
 from backend.devices.protocols import (
+    STILL,
+    TURN_RAD_S,
     Arm,
     ArmStatus,
     Device,
@@ -20,11 +24,14 @@ from backend.devices.protocols import (
     GripStatus,
     Health,
     Identity,
+    Joints,
     Motion,
     PressCommand,
     PressMotion,
+    Vector,
 )
 from backend.devices.putting_back import JigEvidence, jig_refusal
+from backend.devices.turn_limits import falls_mm, refuse_place, refuse_turning, room_rad
 
 PressForce = Callable[[], float]
 """Present press force in N (tared Fz), NaN if unknown."""
@@ -73,11 +80,17 @@ class GuardedArm(_Guarded):
     """An ``Arm`` that refuses what the limits forbid; a limit never changes a command silently."""
 
     def __init__(
-        self, arm: Arm, interlock: Interlock, now_s: Callable[[], float], press_n: PressForce
+        self,
+        arm: Arm,
+        interlock: Interlock,
+        now_s: Callable[[], float],
+        press_n: PressForce,
+        surface_mm: Callable[[], float] = lambda: math.nan,
     ) -> None:
+        """``surface_mm``: height of ``G`` at which a held piece touches; NaN: no turning."""
         super().__init__(arm)
         self._arm, self._interlock = arm, interlock
-        self._now_s, self._press_n = now_s, press_n
+        self._now_s, self._press_n, self._surface_mm = now_s, press_n, surface_mm
         interlock.on_stop(arm.stop)
 
     @property
@@ -93,11 +106,16 @@ class GuardedArm(_Guarded):
         """Measured pose of ``G``."""
         return self._arm.pose(max_age_s)
 
-    def move_to(self, target: Pose, speed_mm_s: float) -> Motion:
-        """Move straight to ``target``; refused outside the limits, and sideways while pressing."""
+    def move_to(
+        self, target: Pose, speed_mm_s: float, turn_rad_s: float = TURN_RAD_S
+    ) -> Motion:
+        """Move straight to ``target``; refused outside the limits, and sideways while pressing.
+
+        A hand that is turned, or is to be, stays high above the surface on the way.
+        """
         self._interlock.require_motion(self._now_s())
         limits = self._interlock.limits
-        values = (target.x_mm, target.y_mm, target.z_mm, speed_mm_s)
+        values = (*astuple(target), speed_mm_s, turn_rad_s)
         if not all(math.isfinite(value) for value in values):
             raise RefusedError("NOT-FINITE", "The target or the speed is not a finite number.")
         if not 0 < speed_mm_s <= limits.speed_mm_s:
@@ -108,6 +126,9 @@ class GuardedArm(_Guarded):
         if reach > limits.reach_mm:
             over = reach - limits.reach_mm
             raise RefusedError("REACH", f"The target is {over:.1f} mm outside the workspace.")
+        over = outside_box_mm(target, limits)
+        if over > 0.0:
+            raise RefusedError("BOX", f"The target is {over:.1f} mm outside the workspace box.")
         if not limits.lowest_mm <= target.z_mm <= limits.highest_mm:
             raise RefusedError(
                 "HEIGHT",
@@ -115,31 +136,84 @@ class GuardedArm(_Guarded):
                 f"{limits.highest_mm:.0f} mm.",
             )
         self._refuse_dragging(target)
-        return self._arm.move_to(target, speed_mm_s * self._interlock.override)
+        turning = self._refuse_turned_move(target, turn_rad_s)
+        override = self._interlock.override
+        if not turning:
+            return self._arm.move_to(target, speed_mm_s * override)
+        return self._arm.move_to(target, speed_mm_s * override, turn_rad_s * override)
 
-    @property
-    def rotates(self) -> bool:
-        """Whether the hand can turn."""
-        return self._arm.rotates
-
-    def jog(self, velocity_mm_s: tuple[float, float, float], for_s: float) -> Motion:
+    def jog(self, velocity_mm_s: Vector, for_s: float, turn_rad_s: Vector = STILL) -> Motion:
         """Follow a velocity; refused when too fast, too long, outside, or against a force."""
         self._interlock.require_motion(self._now_s())
-        limits = self._interlock.limits
-        speed = math.hypot(*velocity_mm_s)
-        if not 0 < speed <= limits.jog_mm_s:
+        self._refuse_too_long(for_s)
+        limits, here = self._interlock.limits, self._arm.pose(max_age_s=0.2)
+        speed, turning = math.hypot(*velocity_mm_s), math.hypot(*turn_rad_s)
+        if not (0 < speed <= limits.jog_mm_s or (speed == 0 and turning > 0)):
             raise RefusedError(
                 "SPEED", f"{speed:.1f} mm/s is not within 0 to {limits.jog_mm_s:.0f} mm/s."
             )
-        if not 0 < for_s <= LEASE_S:
-            raise RefusedError("JOG-TIME", f"{for_s:.2f} s is not within 0 to {LEASE_S:.2f} s.")
-        x, y, z = (part / speed for part in velocity_mm_s)
-        way = (x, y, z)
-        refuse_forced(self._press_n(), way, limits, recovering=self._interlock.recovering)
-        left_mm = room_mm(self._arm.pose(max_age_s=0.2), way, limits)
-        if not left_mm > 0:
-            raise RefusedError("LIMIT", "The arm is at the edge of its workspace.")
-        return self._arm.jog(velocity_mm_s, for_s)
+        if speed:
+            x, y, z = (part / speed for part in velocity_mm_s)
+            way = (x, y, z)
+            refuse_forced(self._press_n(), way, limits, recovering=self._interlock.recovering)
+            left_mm = room_mm(here, way, limits)
+            if z < 0:
+                left_mm = min(left_mm, falls_mm(here, self._surface_mm(), limits) / -z)
+            if not left_mm > 0:
+                raise RefusedError("LIMIT", "The arm is at the edge of its workspace.")
+        if not turning:
+            return self._arm.jog(velocity_mm_s, for_s)
+        self._refuse_turning_jog(here, turning)
+        rx, ry, rz = (part / turning for part in turn_rad_s)
+        if not room_rad(here, (rx, ry, rz), limits) > 0:
+            raise RefusedError("LIMIT", "The hand leans as far as it may.")
+        return self._arm.jog(velocity_mm_s, for_s, turn_rad_s)
+
+    # -- joints -----------------------------------------------------------------------------------
+
+    @property
+    def rotates(self) -> bool:
+        """Whether the hand can turn and single joints can be driven."""
+        return self._arm.rotates
+
+    def joints_rad(self, max_age_s: float) -> Joints:
+        """Measured joints."""
+        return self._arm.joints_rad(max_age_s)
+
+    @property
+    def joint_limits_rad(self) -> tuple[tuple[float, float], ...]:
+        """Lowest and highest angle of each joint."""
+        return self._arm.joint_limits_rad
+
+    def place_of(self, joints_rad: Joints) -> Pose:
+        """Pose that these joints give the hand."""
+        return self._arm.place_of(joints_rad)
+
+    def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> Motion:
+        """Turn joints; refused unless the hand is free, high, and stays inside the limits."""
+        self._interlock.require_motion(self._now_s())
+        self._refuse_too_long(for_s)
+        here = self._arm.pose(max_age_s=0.2)
+        self._refuse_turning_jog(here, max(map(abs, speeds_rad_s)))
+        now = self._arm.joints_rad(max_age_s=0.2)
+        ahead = tuple(j + v * for_s for j, v in zip(now, speeds_rad_s, strict=True))
+        there = self._arm.place_of(ahead)
+        refuse_place(there, self._surface_mm(), self._interlock.limits)
+        self._refuse_too_fast(here, there, for_s)
+        return self._arm.jog_joints(speeds_rad_s, for_s)
+
+    def move_joints(self, target_rad: Joints, speed_rad_s: float) -> Motion:
+        """Turn joints to ``target_rad``; refused unless the way there stays inside the limits."""
+        self._interlock.require_motion(self._now_s())
+        here, now = self._arm.pose(max_age_s=0.2), self._arm.joints_rad(max_age_s=0.2)
+        self._refuse_turning_jog(here, speed_rad_s)
+        longest = max(abs(b - a) for a, b in zip(now, target_rad, strict=True))
+        for part in (0.25, 0.5, 0.75, 1.0):
+            between = tuple(a + part * (b - a) for a, b in zip(now, target_rad, strict=True))
+            there = self._arm.place_of(between)
+            refuse_place(there, self._surface_mm(), self._interlock.limits)
+            self._refuse_too_fast(here, there, part * longest / speed_rad_s)
+        return self._arm.move_joints(target_rad, speed_rad_s * self._interlock.override)
 
     def halt(self) -> None:
         """Stand still without a latch: a jog ended."""
@@ -159,6 +233,7 @@ class GuardedArm(_Guarded):
                 "APPROACH-SPEED",
                 f"{command.approach_mm_s:.1f} mm/s exceeds {limits.contact_speed_mm_s:.1f} mm/s.",
             )
+        refuse_turned(turn_of(self._arm.pose(max_age_s=0.2)))
         return self._arm.press(command)
 
     def unload(self, force_n: float, speed_mm_s: float) -> Motion:
@@ -169,6 +244,42 @@ class GuardedArm(_Guarded):
     def stop(self) -> None:
         """Latch the interlock and stop."""
         self._interlock.stop()
+
+    def _refuse_too_long(self, for_s: float) -> None:
+        if not 0 < for_s <= LEASE_S:
+            raise RefusedError("JOG-TIME", f"{for_s:.2f} s is not within 0 to {LEASE_S:.2f} s.")
+
+    def _refuse_turned_move(self, target: Pose, turn_rad_s: float) -> bool:
+        """Return whether the hand is turned on the way; refuse what may not be."""
+        here = self._arm.pose(max_age_s=0.2)
+        if max(turned_rad(here), turned_rad(target)) <= LEVEL_RAD:
+            return False
+        self._refuse_turning_jog(here, turn_rad_s)
+        low = replace(target, z_mm=min(here.z_mm, target.z_mm))
+        refuse_turning(low, self._surface_mm(), 0.0, self._interlock.limits)
+        refuse_place(target, self._surface_mm(), self._interlock.limits)
+        return True
+
+    def _refuse_turning_jog(self, here: Pose, speed_rad_s: float) -> None:
+        interlock = self._interlock
+        most = interlock.limits.turn_rad_s
+        if not 0 < speed_rad_s <= most * (1 + 1e-9):
+            raise RefusedError(
+                "SPEED",
+                f"{math.degrees(speed_rad_s):.1f}\N{DEGREE SIGN}/s is not within 0 to "
+                f"{math.degrees(most):.0f}\N{DEGREE SIGN}/s.",
+            )
+        if interlock.recovering:
+            raise RefusedError("RECOVERY", "After a fault: jog away from contact first.")
+        refuse_turning(here, self._surface_mm(), self._press_n(), interlock.limits)
+
+    def _refuse_too_fast(self, here: Pose, there: Pose, time_s: float) -> None:
+        gone_mm = math.dist(astuple(here)[:3], astuple(there)[:3])
+        most = self._interlock.limits.jog_mm_s
+        if not gone_mm <= most * time_s + 1e-6:
+            raise RefusedError(
+                "SPEED", f"The hand would move with {gone_mm / time_s:.0f} mm/s: slow the joint down."
+            )
 
     def _refuse_dragging(self, target: Pose) -> None:
         here = self._arm.pose(max_age_s=0.2)

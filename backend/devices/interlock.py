@@ -22,9 +22,16 @@ LEASE_S = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of motion and force; lengths in mm in the bench frame, forces in N."""
+    """Limits of motion and force; lengths in mm in the bench frame, forces in N.
+
+    The workspace of ``G`` is the part of the box that is within ``reach_mm`` of its vertical axis.
+    """
 
     reach_mm: float = 150.0
+    least_x_mm: float = -150.0
+    most_x_mm: float = 150.0
+    least_y_mm: float = -150.0
+    most_y_mm: float = 150.0
     lowest_mm: float = 0.0
     highest_mm: float = 400.0
     speed_mm_s: float = 50.0
@@ -38,6 +45,9 @@ class Limits:
     jog_mm_s: float = 50.0
     jog_guard_n: float = 15.0
     near_mm: float = 10.0
+    turn_rad_s: float = math.radians(15.0)
+    tilt_rad: float = math.radians(15.0)
+    turn_clear_mm: float = 20.0
     recovery_mm_s: float = 5.0
     wrench_age_s: float = 0.3
     frame_age_s: float = 0.5
@@ -124,14 +134,18 @@ def release_refusal(evidence: ReleaseEvidence, *, untested: bool = False) -> tup
     return None
 
 
+def _require_finite(limits: Limits) -> None:
+    for item in fields(limits):
+        if not math.isfinite(getattr(limits, item.name)):
+            raise ValueError(f"limit {item.name} is not finite")
+
+
 class Interlock:
     """The latch, the lease and the list of latched faults. Thread-safe."""
 
     def __init__(self, limits: Limits | None = None) -> None:
         self.limits = limits or Limits()
-        for item in fields(self.limits):
-            if not math.isfinite(getattr(self.limits, item.name)):
-                raise ValueError(f"limit {item.name} is not finite")
+        _require_finite(self.limits)
         self._lock = threading.RLock()
         self._stopped_by = ""
         self._faults: tuple[Fault, ...] = ()
@@ -169,6 +183,14 @@ class Interlock:
         if not LEAST_OVERRIDE <= share <= 1.0:
             raise RefusedError("OVERRIDE", f"{100 * share:.0f} % is not within 10 to 100 %.")
         self._override = share
+
+    def change_limits(self, limits: Limits, now_s: float) -> None:
+        """Take other limits from now on; ``RefusedError`` while motion is permitted."""
+        _require_finite(limits)
+        with self._lock:
+            if self.has_lease(now_s):
+                raise RefusedError("MOVING", "Limits change between motions only: let go first.")
+            self.limits = limits
 
     def on_stop(self, stopper: Callable[[], None]) -> None:
         """Call ``stopper`` (which must return at once) at every stop."""

@@ -27,7 +27,25 @@ def room_mm(pose: Pose, way: Way, limits: Limits) -> float:
         room = min(room, (limits.highest_mm - pose.z_mm) / way[2])
     elif way[2] < 0.0:
         room = min(room, (limits.lowest_mm - pose.z_mm) / way[2])
+    sides = (
+        (pose.x_mm, way[0], limits.least_x_mm, limits.most_x_mm),
+        (pose.y_mm, way[1], limits.least_y_mm, limits.most_y_mm),
+    )
+    for at, part, least, most in sides:
+        if part != 0.0:
+            room = min(room, ((most if part > 0.0 else least) - at) / part)
     return max(room, 0.0)
+
+
+def outside_box_mm(pose: Pose, limits: Limits) -> float:
+    """Return how far ``pose`` is outside the sides of the workspace box; 0 inside."""
+    return max(
+        0.0,
+        limits.least_x_mm - pose.x_mm,
+        pose.x_mm - limits.most_x_mm,
+        limits.least_y_mm - pose.y_mm,
+        pose.y_mm - limits.most_y_mm,
+    )
 
 
 def refuse_forced(press_n: float, way: Way, limits: Limits, *, recovering: bool) -> None:

@@ -38,10 +38,11 @@ def misfits(
         found.append(Misfit("piece hash", _short(card.geometry), _short(piece)))
     if card.grid_mm != grid_mm:
         found.append(Misfit("grid", f"{card.grid_mm:g} mm", f"{grid_mm:g} mm"))
-    transfer = card.simulated and bench.mode == "hardware"
+    # An emulated bench rehearses a day on hardware: the same rule holds there.
+    transfer = card.simulated and bench.mode in ("hardware", "emulated")
     if transfer and hardware_probes < HARDWARE_PROBES:
         evaluated = f"{hardware_probes} of {HARDWARE_PROBES} hardware probes evaluated"
-        found.append(Misfit("bench mode", "simulated only", f"hardware, {evaluated}"))
+        found.append(Misfit("bench mode", "simulated only", f"{bench.mode}, {evaluated}"))
     names = {"mm_per_px": "mm/px", "ft_frame": "F/T frame"}
     if not transfer:
         # A simulated bench and a real one never have these in common.

@@ -12,7 +12,6 @@ from backend.assembly import SimulatedBenchChoice, make_scene
 from backend.config.hardware import HardwareSettings
 from backend.config.load import load
 from backend.core.faults import FaultError
-from backend.emulated import BenchClock
 from backend.emulated_child import EmulatedProcess, serve
 from backend.emulators.faults import FaultPlan
 from backend.emulators.front import TcpFront
@@ -64,11 +63,3 @@ def test_a_bench_whose_process_is_dead_is_a_fault(monkeypatch):
     with pytest.raises(FaultError, match="has ended"):
         process.set_scene(CHOICE, SETTINGS, FaultPlan(), Path("nowhere"))
     process.close()
-
-
-def test_the_clock_waits_and_makes_up_for_nothing():
-    clock = BenchClock()
-    begun_s = clock.now_s()
-    for _ in range(3):
-        clock.wait(10_000)
-    assert clock.now_s() - begun_s >= 0.03

@@ -20,6 +20,7 @@ from backend.devices.cameras.newest import Newest
 from backend.devices.cameras.picture import decode, fit
 from backend.devices.cameras.sources import Source, open_source
 from backend.devices.protocols import DeviceState, Health, Identity
+from backend.devices.steps import Steps
 from backend.wire.framing import WireError
 
 CAPACITY = 256
@@ -60,6 +61,7 @@ class TactileCamera:
         self._facts: Mapping[str, float] = {}
         self._arrivals: deque[float] = deque(maxlen=512)
         self._received = self._invalid = self._damaged = self.reopened = 0
+        self.steps = Steps()
         self.fault: Fault | None = None
 
     @property
@@ -106,6 +108,7 @@ class TactileCamera:
             return
         self.close()
         self._state, self.fault = DeviceState.CONNECTING, None
+        self.steps.begin()
         self._stop, self._first, self._newest = threading.Event(), threading.Event(), Newest()
         self._received = self._invalid = self._damaged = self.reopened = 0
         self._arrivals.clear()
@@ -150,7 +153,10 @@ class TactileCamera:
         tries = sequence = 0
         while not stop.is_set():
             try:
-                source = self._open_camera(self.find(), self._settings)
+                path = self.find()
+                self.steps.reached("identify")
+                source = self._open_camera(path, self._settings)
+                self.steps.reached("configure")
             except (OSError, FaultError) as error:
                 what = error.fault if isinstance(error, FaultError) else None
                 self._fail(what or link_fault(self.name, f"The camera cannot be opened: {error}."))
@@ -218,6 +224,7 @@ class TactileCamera:
         self._arrivals.append(frame.t_s)
         self.fault = None
         self._state = DeviceState.READY
+        self.steps.reached("first sample")
         self._first.set()
 
     @property

@@ -17,6 +17,7 @@ from backend.devices.force_torque.language import Greeting, Language, NotAnswere
 from backend.devices.force_torque.links import Link
 from backend.devices.force_torque.readout import Readout
 from backend.devices.protocols import DeviceState, Health, Identity
+from backend.devices.steps import Steps
 from backend.wire.framing import WireError
 
 READ_S = 0.005
@@ -48,6 +49,7 @@ class ForceTorqueReader:
         self._thread: threading.Thread | None = None
         self._stop, self._first = threading.Event(), threading.Event()
         self._lock = threading.Lock()
+        self.steps = Steps()
         self._state = DeviceState.CLOSED
         self._greeting: Greeting | None = None
         self._readout = Readout(settings, 1.0)
@@ -121,6 +123,7 @@ class ForceTorqueReader:
             return
         self.close()
         self._state, self.fault = DeviceState.CONNECTING, None
+        self.steps.begin()
         try:
             link, language = self._begin(cancel)
             self._start(link, language)
@@ -155,8 +158,10 @@ class ForceTorqueReader:
             link = self._open_link(language)
         except OSError as error:
             raise FaultError(link_fault(f"The port cannot be opened: {error}.")) from error
+        self.steps.reached("reach")
         try:
             self._greeting = language.start(link, cancel)
+            self.steps.reached("configure")
         except WIRE_TROUBLE as error:
             link.close()
             raise FaultError(link_fault(f"{error}.")) from error
@@ -208,6 +213,7 @@ class ForceTorqueReader:
         self._arrivals.append((now_s, len(stamps)))
         if self.fault is None and (readout.overload or readout.trouble):
             self._latch(OVERLOAD if readout.overload else sensor_fault(readout.trouble))
+        self.steps.reached("first sample")
         self._first.set()
         return True
 

@@ -34,6 +34,7 @@ from backend.devices.protocols import (
     RobotMode,
     SafetyMode,
 )
+from backend.devices.steps import Steps
 from backend.wire.melfa_r3_answers import Run
 
 RATE_WINDOW_S = 1.0
@@ -63,6 +64,7 @@ class MelfaArm:
         self._stopped = threading.Event()
         self._console = Console(wires, settings, self._stopped.is_set)
         self._lock = threading.Lock()
+        self.steps = Steps()
         self._state = DeviceState.CLOSED
         self._identity: Identity | None = None
         self._received = 0
@@ -134,10 +136,13 @@ class MelfaArm:
         )
         self._received = 0
         self._arrivals.clear()
+        self.steps.begin()
         try:
             self._wires.open(self._cycle, self._lost)
-            self._identity = self._console.start_up()
+            self.steps.reached("reach")
+            self._identity = self._console.start_up(self.steps.reached)
             self._open_stream()
+            self.steps.reached("first sample")
         except FaultError as error:
             self._give_up()
             raise FaultError(self._latched() or error.fault) from error

@@ -14,6 +14,7 @@ from backend.devices.melfa.link_faults import (
 )
 from backend.devices.melfa.wires import Wires
 from backend.devices.protocols import Identity
+from backend.devices.steps import Step
 from backend.wire.framing import WireError
 from backend.wire.melfa_r3 import Request
 from backend.wire.melfa_r3_answers import (
@@ -54,16 +55,18 @@ class Console:
 
     # -- start-up ---------------------------------------------------------------------------------
 
-    def start_up(self) -> Identity:
+    def start_up(self, reached: Callable[[Step], None]) -> Identity:
         """Go from an open wire to a running real-time program; raises ``FaultError``."""
         try:
             identity = self._identify()
+            reached("identify")
             self._require_no_error()
             self._require_time_limit()
             self._go_on()
             self._servo_on()
             self._go_on()
             self.run_stream()
+            reached("configure")
         except WireError as error:
             fault = link_fault(f"The controller does not answer as it should: {error}.")
             raise FaultError(fault) from error

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from backend.config.hardware import WsgSettings
 from backend.core.faults import Fault, FaultError
 from backend.devices.protocols import DeviceState, GripStatus, Health, Identity
+from backend.devices.steps import Steps
 from backend.devices.wsg.core import Limits, WsgCore
 from backend.devices.wsg.faults import NAME, device_fault, link_fault, not_connected_fault
 from backend.devices.wsg.motion import WsgMotion
@@ -43,6 +44,7 @@ class WsgGripper:
         self._decoder: FrameStream[Reply] = wsg_binary.replies()
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
+        self.steps = Steps()
         self._state = DeviceState.CLOSED
         self._identity: Identity | None = None
         self._received = 0
@@ -108,9 +110,11 @@ class WsgGripper:
         self.close()
         self._state = DeviceState.CONNECTING
         self._core, self._decoder = WsgCore(self._settings), wsg_binary.replies()
+        self.steps.begin()
         try:
             self._socket = socket.create_connection(self._address, timeout=timeout_s)
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self.steps.reached("reach")
             self._greet(cancel)
         except (OSError, FaultError) as error:
             self._drop()
@@ -206,6 +210,7 @@ class WsgGripper:
         model = f"{TYPES.get(kind, 'WSG')}, hardware {hardware}"
         number = str(serial) if serial else f"{self._address[0]}:{self._address[1]}"
         self._identity = Identity("Weiss Robotics", model, number, f"{firmware / DECIMALS:.2f}")
+        self.steps.reached("identify")
 
     def _exchange(self, request: Request, cancel: threading.Event) -> Reply:
         """Send one request and wait for its answer; only before the listening thread runs."""
@@ -230,6 +235,7 @@ class WsgGripper:
         self._arrivals.append(now_s)
         with self._lock:
             requests = self._core.subscribe(now_s)
+        self.steps.reached("configure")
         self._state = DeviceState.READY
         self._thread = threading.Thread(target=self._listen, name="wsg", daemon=True)
         self._thread.start()
@@ -244,6 +250,7 @@ class WsgGripper:
                 for reply in self._heard(line):
                     now_s = self._now_s()
                     self._received += 1
+                    self.steps.reached("first sample")
                     self._arrivals.append(now_s)
                     with self._lock:
                         requests = self._core.feed(now_s, reply)

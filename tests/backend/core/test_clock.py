@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from backend.core.clock import HandClock, MonotonicClock
+from backend.core.clock import BenchClock, HandClock, MonotonicClock
 
 
 @given(st.lists(st.integers(0, 10_000_000)))
@@ -41,3 +41,11 @@ def test_the_computer_s_clock_never_goes_back():
     clock = MonotonicClock()
     readings = [clock.now_s() for _ in range(1000)]
     assert readings == sorted(readings)
+
+
+def test_the_clock_of_a_real_bench_waits_and_makes_up_for_nothing():
+    clock = BenchClock()
+    begun_s = clock.now_s()
+    for _ in range(3):
+        clock.wait(10_000)
+    assert clock.now_s() - begun_s >= 0.03

@@ -1,0 +1,75 @@
+"""Where the devices of a lab file answer: an emulated one on this computer, an arm never there.
+
+The window's banner says what the file calls itself, so the file must not be able to lie by mistake.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from backend.config.hardware import HardwareSettings
+from backend.core.faults import InputError
+
+URL = re.compile(r"(?:socket|udp|tcp)://(?:[^@/]*@)?(?P<host>\[[^\]]+\]|[^:/]+)")
+TERMINALS = Path("/dev/pts")
+DEVICES = Path("/dev")
+
+
+def is_emulated(settings: HardwareSettings) -> bool:
+    """Whether every device answers on this computer, as emulated ones do."""
+    return all(here for _, here in _places(settings))
+
+
+def refuse_wrong_places(settings: HardwareSettings, kind: str, where: str) -> None:
+    """Raise ``InputError`` where ``kind`` ("hardware" or "emulated") and an address disagree."""
+    for key, here in _places(settings):
+        if kind == "emulated" and not here:
+            raise InputError(
+                f"Bad value for 'kind': this bench is called emulated, but '{key}' is no place of "
+                "an emulated device.",
+                where,
+                f"Write kind = \"hardware\", or correct '{key}'.",
+            )
+        if kind == "hardware" and here and key == "melfa.host":
+            raise InputError(
+                "Bad value for 'kind': this bench is called hardware, but its arm answers on this "
+                "computer, as emulated ones do.",
+                where,
+                "Write kind = \"emulated\", or correct 'melfa.host'.",
+            )
+
+
+def _places(settings: HardwareSettings) -> Iterator[tuple[str, bool]]:
+    """Yield (key, whether it is a place on this computer that an emulated device can have)."""
+    yield "melfa.host", _is_loopback(settings.melfa.host)
+    yield "wsg.host", _is_loopback(settings.wsg.host)
+    yield "ft.address", _is_here(settings.ft.address)
+    gelsight = settings.gelsight
+    filmed = bool(gelsight.left.file and gelsight.right.file)
+    yield "gelsight.by_id", filmed or not _is_below(Path(gelsight.by_id), DEVICES)
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _is_here(address: str) -> bool:
+    found = URL.match(address)
+    if found:
+        return _is_loopback(found["host"])
+    path = Path(address)
+    if not path.is_absolute():
+        return False
+    target = path.resolve()
+    # A link whose terminal is gone leads nowhere: then its own place decides.
+    return _is_below(target, TERMINALS) or not _is_below(target, DEVICES)
+
+
+def _is_below(path: Path, folder: Path) -> bool:
+    return path == folder or folder in path.parents

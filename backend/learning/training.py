@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from backend.config.method import TrainingSettings
+from backend.core.faults import InputError
 from backend.dataset.rows import TrainingRows
 from backend.dataset.splits import Split, split_rows
 from backend.learning.features import columns, fit_in_parts
@@ -58,12 +59,21 @@ class Trainer:
     The order of the samples depends on seed and epoch only, so that no generator state is needed to
     resume. The weights kept are those of the epoch with the lowest validation loss (or the last,
     as ``settings.keep`` says); ``best_figures`` are their IoU and point accuracy on the validation
-    side.
+    side. ``InputError`` where this processor cannot compute in the precision that is asked for.
     """
 
     def __init__(self, rows: TrainingRows, settings: TrainingSettings) -> None:
+        if settings.precision == "bfloat16" and not computes_bfloat16():
+            raise InputError(
+                "This processor cannot multiply in bfloat16.", "precision", "Train in float32."
+            )
         self.settings = settings
-        self.split: Split = split_rows(rows, settings.validation_share, settings.seed)
+        self.split: Split = split_rows(
+            rows,
+            settings.validation_share,
+            settings.seed,
+            divide_series=settings.divide_series,
+        )
         self._rows, self._seen = rows, columns(settings.modality)
         train = self.split.train
         self._targets = torch.from_numpy(rows.patch.astype(np.float32))
@@ -163,6 +173,11 @@ class Trainer:
 
     def _weights(self) -> dict[str, Tensor]:
         return {name: tensor.clone() for name, tensor in self.model.state_dict().items()}
+
+
+def computes_bfloat16() -> bool:
+    """Whether the LSTM can be trained with bfloat16 products here (AVX-512 or newer on x86)."""
+    return bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
 
 
 def in_parts(index: NDArray[np.int64], size: int = PART) -> list[NDArray[np.int64]]:

@@ -62,11 +62,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of first weights, order and split (default: %(default)s)",
     )
     parser.add_argument(
+        "--divide-series",
+        action="store_true",
+        help="hold out whole grips where there are fewer than 30 mountings: figures are then too "
+        "good, as validation knows the errors of the mounting (default: whole series)",
+    )
+    parser.add_argument(
         "--precision",
         choices=("float32", "bfloat16"),
         default=defaults.precision,
         help="of the products of a step; bfloat16 halves the time where the processor computes in "
-        "it (default: %(default)s)",
+        "it, and is refused elsewhere (default: %(default)s)",
     )
     parser.add_argument("--threads", type=int, default=1, help="processor threads (default: 1)")
     parser.add_argument(
@@ -90,6 +96,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         "batch": args.batch,
         "learning_rate": args.learning_rate,
         "precision": args.precision,
+        "divide_series": args.divide_series,
         "seed": args.seed,
     }
     job = {
@@ -138,9 +145,11 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
 
 
 def _loaded(report: Loaded) -> str:
+    from backend.dataset.splits import kept_words
+
     return (
         f"{report.episodes} episodes of {report.piece}, {report.held_out} held out "
-        f"for validation (whole {report.kept_together}s), {report.points} points, "
+        f"for validation ({kept_words(report.kept_together)}), {report.points} points, "
         f"{report.parameters:,} parameters, base rate {report.base_rate:.3f}"
     )
 

@@ -22,7 +22,7 @@ from backend.learning.features import (
 from backend.learning.model import new_model
 from backend.learning.resume import load_state, save_state
 from backend.learning.shape import Shape
-from backend.learning.training import Trainer, bce, fingerprint, predict
+from backend.learning.training import Trainer, bce, computes_bfloat16, fingerprint, predict
 
 
 def rows(count: int, per_grip: int = 2, mountings: int = 1, points: int = 9) -> TrainingRows:
@@ -42,7 +42,9 @@ def rows(count: int, per_grip: int = 2, mountings: int = 1, points: int = 9) -> 
     )  # fmt: skip
 
 
-SMALL = TrainingSettings(hidden=16, epochs=4, batch=4, validation_share=0.25, seed=3)
+SMALL = TrainingSettings(
+    hidden=16, epochs=4, batch=4, validation_share=0.25, seed=3, divide_series=True
+)
 
 
 @pytest.mark.parametrize(
@@ -109,26 +111,39 @@ def test_the_order_of_time_matters() -> None:
     assert model(x).shape == (1, 4)
 
 
-@pytest.mark.parametrize(("mountings", "kind"), [(1, "grip"), (9, "grip"), (40, "mounting")])
-def test_no_grip_or_mounting_is_on_both_sides(mountings: int, kind: str) -> None:
+@pytest.mark.parametrize(
+    ("mountings", "divide_series", "kind"),
+    [(1, True, "grip"), (9, True, "grip"), (9, False, "series"), (40, False, "mounting")],
+)
+def test_no_grip_series_or_mounting_is_on_both_sides(
+    mountings: int, divide_series: bool, kind: str
+) -> None:
     data = rows(400, per_grip=5, mountings=mountings)
-    split = split_rows(data, 0.1, seed=2)
+    split = split_rows(data, 0.12, seed=2, divide_series=divide_series)
     assert split.kept_together == kind
     assert sorted([*split.train, *split.held_out]) == list(range(400))
     assert 0.05 <= len(split.held_out) / 400 <= 0.2
-    ids = data.mounting_id if kind == "mounting" else data.grip_id
+    ids = data.grip_id if kind == "grip" else data.mounting_id
     assert not {ids[i] for i in split.train} & {ids[i] for i in split.held_out}
 
 
-def test_one_grip_alone_cannot_be_split() -> None:
+def test_one_grip_or_one_series_alone_cannot_be_split() -> None:
     with pytest.raises(InputError, match="one grip"):
-        split_rows(rows(8, per_grip=8), 0.25, 0)
+        split_rows(rows(8, per_grip=8), 0.25, 0, divide_series=True)
+    with pytest.raises(InputError, match="one series only of pot on circle15"):
+        split_rows(rows(8, per_grip=2), 0.25, 0)
 
 
 def test_eight_episodes_are_learnt_by_heart() -> None:
     data = rows(8, per_grip=1)
     settings = TrainingSettings(
-        hidden=32, epochs=60, patience=60, learning_rate=0.01, batch=7, schedule="constant"
+        hidden=32,
+        epochs=60,
+        patience=60,
+        learning_rate=0.01,
+        batch=7,
+        schedule="constant",
+        divide_series=True,
     )
     trainer = Trainer(data, settings)
     reports = list(trainer.epochs())
@@ -142,6 +157,10 @@ def test_eight_episodes_are_learnt_by_heart() -> None:
 
 def test_coarse_products_train_float32_weights_to_nearly_the_same_loss() -> None:
     data = rows(24)
+    if not computes_bfloat16():
+        with pytest.raises(InputError, match="This processor cannot multiply in bfloat16"):
+            Trainer(data, SMALL.model_copy(update={"precision": "bfloat16"}))
+        return
     exact, coarse = (
         Trainer(data, SMALL.model_copy(update={"precision": name}))
         for name in ("float32", "bfloat16")
@@ -217,7 +236,12 @@ def test_training_stops_when_validation_gets_no_better() -> None:
         noise.bottom, noise.grip_id, noise.mounting_id, noise.labels,
     )  # fmt: skip
     settings = TrainingSettings(
-        hidden=16, epochs=200, patience=3, learning_rate=0.02, validation_share=0.25
+        hidden=16,
+        epochs=200,
+        patience=3,
+        learning_rate=0.02,
+        validation_share=0.25,
+        divide_series=True,
     )
     reports = list(Trainer(unlearnable, settings).epochs())
     best = min(reports, key=lambda r: r.validation_loss)

@@ -8,7 +8,9 @@ import pytest
 
 from backend.__main__ import main
 from backend.learning.checkpoint import load_card
+from backend.learning.training import computes_bfloat16
 
+PRECISION = "bfloat16" if computes_bfloat16() else "float32"
 Data = Callable[[Path, int], Path]
 
 
@@ -18,13 +20,13 @@ def test_train_then_evaluate(
     data = write_data(tmp_path / "data", 36)
     out = tmp_path / "pot.safetensors"
     words = ["train", str(data), "--piece", "pot", "--out", str(out), "--epochs", "3"]
-    words += ["--batch", "4", "--threads", "1", "--precision", "bfloat16"]
+    words += ["--batch", "4", "--threads", "1", "--precision", PRECISION]
     assert main([*words, "--json"]) == 0
     captured = capsys.readouterr()
     answer = json.loads(captured.out)
     assert answer["episodes"] == 36
     assert answer["out"] == str(out)
-    assert load_card(out).training["precision"] == "bfloat16"
+    assert load_card(out).training["precision"] == PRECISION
     assert [point["epoch"] for point in answer["curve"]] == [1, 2, 3]
     assert captured.err == ""
 

@@ -176,8 +176,8 @@ class Trainer:
 
 
 def computes_bfloat16() -> bool:
-    """Whether the LSTM can be trained with bfloat16 products here (AVX-512 or newer on x86)."""
-    return bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
+    """Whether the LSTM can be trained with bfloat16 products here: oneDNN wants AVX-512 for it."""
+    return "AVX512" in torch.backends.cpu.get_cpu_capability()
 
 
 def in_parts(index: NDArray[np.int64], size: int = PART) -> list[NDArray[np.int64]]:

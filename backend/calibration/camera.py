@@ -1,0 +1,180 @@
+"""Scale, mirroring and finger of both tactile cameras.
+
+The scale follows from the known pitch of the printed dots. Which way a picture is turned round and
+which finger it belongs to follow from presses beside the middle: the dots move up in every picture,
+more on the finger that is nearer to the contact, and they turn one way on the left, the other way
+on the right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from backend.calibration.estimate import Estimate, Quantity, Solution, rms, solve
+from backend.core.faults import RefusedError
+from backend.core.flow import FINGERS, GRID_COLS, GRID_ROWS, MARKERS, Finger, FloatArray
+
+LIMIT_PX = 0.5
+DOT_SIGMA_PX = 0.1
+"""Standard uncertainty of the mean place of a dot: tracker, print, curved gel."""
+WEAK_PX = 1.0
+EVEN_PX = 0.4
+EVEN_RAD = 0.004
+"""Smaller differences between two presses do not tell fingers or turns apart."""
+Side = Literal["+x", "-x", "+y", "-y"]
+SIDES: tuple[Side, ...] = ("+x", "-x", "+y", "-y")
+_ROW, _COL = np.divmod(np.arange(MARKERS), GRID_COLS)
+
+
+@dataclass(frozen=True, slots=True)
+class Push:
+    """One press with the face displaced to ``side`` of the bottom; fields (2, 63, 2) in px.
+
+    ``rest_px`` before it, ``moved_px`` by how much the dots moved; the first is what counts as the
+    left camera.
+    """
+
+    side: Side
+    rest_px: FloatArray
+    moved_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Lattice:
+    """Straight lattice through (63, 2) dots: origin, step by column and by row (px)."""
+
+    solution: tuple[Solution, Solution]
+
+    def scale_mm_px(self, pitch_mm: float) -> tuple[Quantity, Quantity]:
+        """Return mm per px along the columns and along the rows, unnamed."""
+        u, v = self.solution
+        found = []
+        for k, axis in ((1, "u"), (2, "v")):
+            step = np.array([u.x[k], v.x[k]])
+            length = float(np.linalg.norm(step))
+            along = step / length
+            variance = along[0] ** 2 * u.covariance[k, k] + along[1] ** 2 * v.covariance[k, k]
+            scale = pitch_mm / length
+            found.append(Quantity(axis, scale, scale * float(np.sqrt(variance)) / length, "mm/px"))
+        return found[0], found[1]
+
+    @property
+    def residuals_px(self) -> FloatArray:
+        """(63,) distance of each dot from its place in the lattice."""
+        u, v = self.solution
+        return np.asarray(np.hypot(u.residuals, v.residuals))
+
+
+def fit_lattice(position_px: FloatArray) -> Lattice:
+    """Fit the 7 x 9 lattice to ``position_px`` (63, 2); ``RefusedError`` where a dot is missing."""
+    if position_px.shape != (MARKERS, 2):
+        raise RefusedError("MARKERS", f"The lattice has {GRID_ROWS} x {GRID_COLS} dots.")
+    middle = np.column_stack([np.ones(MARKERS), _COL - GRID_COLS // 2, _ROW - GRID_ROWS // 2])
+    sigma = np.full(MARKERS, DOT_SIGMA_PX)
+    u, v = (solve(middle, position_px[:, k], sigma, "No lattice.") for k in range(2))
+    return Lattice((u, v))
+
+
+def image_motion(rest_px: FloatArray, moved_px: FloatArray) -> tuple[FloatArray, float]:
+    """Return mean shift (2,) in px and turn in rad (u right to v down) of a field (63, 2)."""
+    arm = rest_px - rest_px.mean(axis=0)
+    shift = moved_px.mean(axis=0)
+    across = arm[:, 0] * moved_px[:, 1] - arm[:, 1] * moved_px[:, 0]
+    return shift, float(across.sum() / (arm**2).sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """How the cameras really sit: ``exchanged``, and how each picture is to be mirrored."""
+
+    exchanged: bool
+    mirror: dict[Finger, str]
+
+    @property
+    def right(self) -> bool:
+        """Whether the cameras sit as the settings say."""
+        return not self.exchanged and all(m == "none" for m in self.mirror.values())
+
+    def words(self) -> str:
+        """Return what to change, "" if nothing."""
+        said = []
+        if self.exchanged:
+            said.append("exchange gelsight.left.serial and gelsight.right.serial")
+        for finger, mirror in self.mirror.items():
+            if mirror != "none":
+                said.append(f"mirror the picture of the {finger} finger in {mirror}")
+        if not said:
+            return ""
+        return f"The settings do not fit: {', '.join(said)}; then calibrate again."
+
+
+def find_setting(pushes: Sequence[Push]) -> Setting:
+    """Return how the cameras sit, from one press to each side or more.
+
+    Raises ``RefusedError`` "PUSHES" if a side is missing, "WEAK-PUSH" if the dots hardly move,
+    "EVEN-PUSH" if both fingers move alike.
+    """
+    if {push.side for push in pushes} != set(SIDES):
+        raise RefusedError("PUSHES", "Press once beside each of the four sides.")
+    shift, turn = _by_side(pushes)
+    along_v = np.stack(list(shift.values()))[..., 1].mean(axis=0)
+    if np.abs(along_v).min() < WEAK_PX:
+        raise RefusedError("WEAK-PUSH", "The dots hardly move: press harder, or clean the gels.")
+    flipped = along_v > 0.0
+    # Displaced to +y the face touches on its -y side, the side of the right finger.
+    size = {side: np.abs(moved[:, 1]) for side, moved in shift.items()}
+    lead_px = float(np.diff(size["+y"] - size["-y"])[0])
+    # Displaced to +x the contact lifts the -x side: the left picture turns from u to v.
+    turned = turn["+x"] - turn["-x"]
+    if abs(lead_px) < EVEN_PX or np.abs(turned).min() < EVEN_RAD:
+        raise RefusedError("EVEN-PUSH", "Both fingers move alike: press farther off the middle.")
+    exchanged = lead_px < 0.0
+    expected = np.array([-1.0, 1.0]) if exchanged else np.array([1.0, -1.0])
+    reversed_u = np.sign(turned) * np.where(flipped, -1.0, 1.0) != expected
+    names = reversed(FINGERS) if exchanged else iter(FINGERS)
+    mirror: dict[Finger, str] = {}
+    for finger, u, v in zip(names, reversed_u.tolist(), flipped.tolist(), strict=True):
+        mirror[finger] = {(0, 0): "none", (1, 0): "x", (0, 1): "y", (1, 1): "both"}[u, v]
+    return Setting(exchanged, mirror)
+
+
+def estimate_cameras(pushes: Sequence[Push], pitch_mm: float) -> Estimate:
+    """Return mm/px of both cameras; an obstacle says what of finger or mirroring is wrong.
+
+    The residual is the larger rms distance of the dots from a straight lattice. Refused as
+    ``find_setting``.
+    """
+    setting = find_setting(pushes)
+    found, left_px = [], []
+    for index, finger in enumerate(FINGERS):
+        lattice = fit_lattice(np.mean([push.rest_px[index] for push in pushes], axis=0))
+        left_px.append(lattice.residuals_px)
+        for axis in lattice.scale_mm_px(pitch_mm):
+            found.append(Quantity(f"{finger}_{axis.name}_mm_px", axis.value, axis.sigma, axis.unit))
+    residual_px = max(rms(left, 6) for left in left_px)
+    return Estimate(
+        tuple(found),
+        np.diag([q.sigma**2 for q in found]),
+        np.concatenate(left_px), residual_px, LIMIT_PX, "px",
+        note="Finger and mirroring fit the settings." if setting.right else "",
+        obstacle=setting.words(),
+    )  # fmt: skip
+
+
+def _by_side(pushes: Sequence[Push]) -> tuple[dict[Side, FloatArray], dict[Side, FloatArray]]:
+    """Return mean shift (2, 2) and mean turn (2,) of both pictures, by side."""
+    shift: dict[Side, FloatArray] = {}
+    turn: dict[Side, FloatArray] = {}
+    for side in SIDES:
+        motions = [
+            [image_motion(push.rest_px[k], push.moved_px[k]) for k in range(2)]
+            for push in pushes
+            if push.side == side
+        ]
+        shift[side] = np.mean([[m[0] for m in pair] for pair in motions], axis=0)
+        turn[side] = np.mean([[m[1] for m in pair] for pair in motions], axis=0)
+    return shift, turn

@@ -1,0 +1,128 @@
+"""One accepted calibration as a small file: values, residual, date, devices, expiry, hash."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from hashlib import sha256
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationError
+
+from backend.calibration.kinds import What
+from backend.config.method import Settings
+from backend.core.faults import InputError
+
+VERSION = 1
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Mode = Literal["simulated", "emulated", "hardware"]
+
+
+class Value(Settings):
+    """A number with its standard uncertainty and unit."""
+
+    value: Finite
+    sigma: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    unit: str
+
+
+class DeviceName(Settings):
+    """Who a device said it is."""
+
+    maker: str
+    model: str
+    serial: str
+
+
+class CalibrationFile(Settings):
+    """What the file holds, apart from its hash. Dates are UTC."""
+
+    version: Literal[1] = 1
+    what: What
+    mode: Mode
+    values: dict[str, Value]
+    residual: Finite
+    limit: Finite
+    unit: str
+    note: str = ""
+    person: str = ""
+    date: datetime
+    expires_days: Annotated[int, Field(ge=1)]
+    devices: dict[str, DeviceName]
+
+    @property
+    def expires(self) -> datetime:
+        """When it stops to hold."""
+        return self.date + timedelta(days=self.expires_days)
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """A calibration with the SHA-256 of its content."""
+
+    file: CalibrationFile
+    sha256: str
+
+    @classmethod
+    def of(cls, file: CalibrationFile) -> Record:
+        """Return the record of ``file``."""
+        return cls(file, content_sha256(file))
+
+    def days_left(self, now: datetime) -> float:
+        """Return for how many days it still holds; negative once it has expired."""
+        return (self.file.expires - now) / timedelta(days=1)
+
+    def foreign(self, devices: Mapping[str, DeviceName]) -> str:
+        """Return the first device of ``devices`` that is not the one it was made with, else ""."""
+        for name, now in devices.items():
+            then = self.file.devices.get(name)
+            if then is not None and then != now:
+                return name
+        return ""
+
+    def text(self) -> str:
+        """Return the text of its file."""
+        content = self.file.model_dump(mode="json")
+        return json.dumps({**content, "sha256": self.sha256}, indent=2, ensure_ascii=False) + "\n"
+
+
+def content_sha256(file: CalibrationFile) -> str:
+    """Return the SHA-256 of the canonical JSON of ``file``."""
+    content = json.dumps(
+        file.model_dump(mode="json"), sort_keys=True, separators=(",", ":"), ensure_ascii=True
+    )
+    return sha256(content.encode()).hexdigest()
+
+
+def read_record(path: Path) -> Record:
+    """Read a calibration; raises ``InputError`` if it is damaged, changed or of a newer version."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        given = content.pop("sha256")
+        file = CalibrationFile.model_validate(content)
+    except (OSError, ValueError, KeyError, AttributeError, TypeError) as error:
+        raise InputError(
+            f"This is no calibration of version {VERSION}: {_first(error)}.",
+            str(path),
+            "Calibrate again; the damaged file can be deleted.",
+        ) from error
+    if given != content_sha256(file):
+        raise InputError(
+            "The calibration was changed after it was accepted.",
+            str(path),
+            "Calibrate again; a number is never corrected by hand.",
+        )
+    if file.date.tzinfo is None or file.date.utcoffset() != datetime.now(UTC).utcoffset():
+        raise InputError("The date of the calibration is not UTC.", str(path), "Calibrate again.")
+    return Record(file, given)
+
+
+def _first(error: Exception) -> str:
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        return f"'{where}': {first['msg']}"
+    return str(error).splitlines()[0] if str(error) else type(error).__name__

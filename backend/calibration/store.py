@@ -1,0 +1,154 @@
+"""The calibrations of one bench: a folder of files, of which the newest of each kind holds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Literal
+
+from backend.calibration.estimate import Estimate
+from backend.calibration.kinds import KINDS, WHATS, What
+from backend.calibration.record import (
+    CalibrationFile,
+    DeviceName,
+    Mode,
+    Record,
+    Value,
+    read_record,
+)
+from backend.core.faults import InputError, RefusedError
+from backend.core.files import write_atomically
+
+Condition = Literal["valid", "expired", "missing", "other device", "damaged"]
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """How one calibration stands: ``record`` if there is one, ``why`` it does not hold else ""."""
+
+    what: What
+    condition: Condition
+    record: Record | None
+    why: str
+
+    @property
+    def fix(self) -> str:
+        """What to do about it."""
+        return "" if self.condition == "valid" else f"Run 'touchdown calibrate {self.what}'."
+
+
+class CalibrationStore:
+    """The files of one folder; only those of the same ``mode`` of bench count."""
+
+    def __init__(self, folder: Path, mode: Mode) -> None:
+        self.folder, self.mode = folder, mode
+
+    def accept(
+        self,
+        what: What,
+        estimate: Estimate,
+        devices: Mapping[str, DeviceName],
+        person: str = "",
+        now: datetime | None = None,
+    ) -> Path:
+        """Write a calibration; returns its path.
+
+        Raises ``RefusedError`` "RESIDUAL" or "OBSTACLE" for what is not acceptable, ``InputError``
+        where the folder cannot be written.
+        """
+        if estimate.obstacle:
+            raise RefusedError("OBSTACLE", estimate.obstacle)
+        if not estimate.acceptable:
+            raise RefusedError(
+                "RESIDUAL",
+                f"The residual of {estimate.residual:.3g} {estimate.unit} exceeds "
+                f"{estimate.limit:g} {estimate.unit}: measure again.",
+            )
+        kind = KINDS[what]
+        date = (now or datetime.now(UTC)).replace(microsecond=0)
+        file = CalibrationFile(
+            what=what,
+            mode=self.mode,
+            values={
+                q.name: Value(value=q.value, sigma=q.sigma, unit=q.unit)
+                for q in estimate.quantities
+            },
+            residual=estimate.residual,
+            limit=estimate.limit,
+            unit=estimate.unit,
+            note=estimate.note,
+            person=person,
+            date=date,
+            expires_days=kind.days,
+            devices={name: devices[name] for name in kind.devices if name in devices},
+        )
+        record = Record.of(file)
+        path = self.folder / f"{what}-{date:%Y%m%d-%H%M%S}-{record.sha256[:8]}.json"
+        try:
+            write_atomically(path, record.text().encode())
+        except OSError as error:
+            raise InputError(
+                f"The calibration cannot be written: {error.strerror or error}.",
+                str(path),
+                "Make room, or name a folder that can be written.",
+            ) from error
+        return path
+
+    def standing(
+        self, what: What, devices: Mapping[str, DeviceName], now: datetime | None = None
+    ) -> Standing:
+        """Return how the newest calibration of a kind stands with the present ``devices``.
+
+        Devices that are not connected yet are not compared.
+        """
+        try:
+            record = self._newest(what)
+        except InputError as error:
+            return Standing(what, "damaged", None, f"{error.what} [{error.where}]")
+        if record is None:
+            return Standing(what, "missing", None, "never calibrated on this bench")
+        other = record.foreign(devices)
+        if other:
+            then = record.file.devices[other].serial or "another one"
+            return Standing(what, "other device", record, f"made with {other} {then}")
+        left = record.days_left(now or datetime.now(UTC))
+        if left < 0:
+            return Standing(what, "expired", record, f"expired {-left:.0f} days ago")
+        return Standing(what, "valid", record, "")
+
+    def standings(
+        self, devices: Mapping[str, DeviceName], now: datetime | None = None
+    ) -> list[Standing]:
+        """Return how all stand."""
+        return [self.standing(what, devices, now) for what in WHATS]
+
+    def in_use(
+        self, devices: Mapping[str, DeviceName], *, required: bool, now: datetime | None = None
+    ) -> dict[What, Record]:
+        """Return those that hold; raises ``RefusedError`` naming the first that is ``required``.
+
+        The names: CALIBRATION-MISSING, -EXPIRED, -OTHER-DEVICE, -DAMAGED.
+        """
+        used: dict[What, Record] = {}
+        for standing in self.standings(devices, now):
+            if standing.condition == "valid":
+                assert standing.record is not None
+                used[standing.what] = standing.record
+            elif required:
+                title = KINDS[standing.what].title
+                raise RefusedError(
+                    f"CALIBRATION-{standing.condition.upper().replace(' ', '-')}",
+                    f"{title}: {standing.why}. {standing.fix}",
+                )
+        return used
+
+    def _newest(self, what: What) -> Record | None:
+        """Return the newest of this bench's mode; raises ``InputError`` if it is damaged."""
+        # The names sort by date.
+        for path in sorted(self.folder.glob(f"{what}-*.json"), reverse=True):
+            record = read_record(path)
+            if record.file.what == what and record.file.mode == self.mode:
+                return record
+        return None

@@ -1,0 +1,121 @@
+"""Scale, finger and mirror against the simulated gel, exchanged and mirrored on purpose."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from backend.calibration.camera import (
+    DOT_SIGMA_PX,
+    SIDES,
+    Push,
+    estimate_cameras,
+    find_setting,
+    fit_lattice,
+    image_motion,
+)
+from backend.core.faults import RefusedError
+from backend.simulation.gel import build_gel
+
+SCALE, PITCH_MM = (0.058, 0.062), 1.9
+GEL = build_gel(SCALE, PITCH_MM)
+SIZE_PX = np.array([320.0, 240.0])
+
+
+def pushes(noise_px: float = 0.05, seed: int = 0) -> list[Push]:
+    """Return the fields of a press of 0.9 mm that leans the piece towards each side."""
+    rng = np.random.default_rng(seed)
+    made = []
+    for side in SIDES:
+        sign = 1.0 if side[0] == "+" else -1.0
+        strain = np.zeros((2, 3))
+        strain[:, 1] = 0.9
+        if side[1] == "x":
+            # Contact on the other side of the face: its moment about y is positive for +x.
+            strain[:, 2] = 0.05 * sign
+        else:
+            # Displaced to +y the contact is nearer to the right finger.
+            strain[:, 1] += 0.06 * sign * np.array([-1.0, 1.0])
+        moved = GEL.displacement_px(strain, np.array([10.0, 10.0]), np.array(10.0))
+        moved = moved + noise_px * rng.standard_normal(moved.shape)
+        rest = GEL.rest_px + DOT_SIGMA_PX * rng.standard_normal(GEL.rest_px.shape)
+        made.append(Push(side, rest, moved))
+    return made
+
+
+def mirrored(push: Push, camera: int, axis: int) -> Push:
+    """Return what a camera with a mirrored picture would have told; dots renumbered."""
+    rest, moved = push.rest_px.copy(), push.moved_px.copy()
+    order = np.arange(63).reshape(7, 9)
+    order = (order[:, ::-1] if axis == 0 else order[::-1]).ravel()
+    rest[camera], moved[camera] = rest[camera][order], moved[camera][order]
+    rest[camera, :, axis] = SIZE_PX[axis] - rest[camera, :, axis]
+    moved[camera, :, axis] *= -1.0
+    return Push(push.side, rest, moved)
+
+
+def exchanged(push: Push) -> Push:
+    return Push(push.side, push.rest_px[::-1].copy(), push.moved_px[::-1].copy())
+
+
+def test_the_scale_is_that_of_the_gel() -> None:
+    found = estimate_cameras(pushes(), PITCH_MM)
+    for finger, scale in zip(("left", "right"), SCALE, strict=True):
+        for axis in "uv":
+            assert found.value(f"{finger}_{axis}_mm_px") == pytest.approx(scale, rel=2e-3)
+    assert found.acceptable
+
+
+def test_the_scale_covers_the_truth_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(5)
+    scores = []
+    for _ in range(400):
+        noisy = GEL.rest_px[0] + DOT_SIGMA_PX * rng.standard_normal((63, 2))
+        for axis in fit_lattice(noisy).scale_mm_px(PITCH_MM):
+            scores.append((axis.value - SCALE[0]) / axis.sigma)
+    assert abs((np.abs(scores) < 1.0).mean() - 0.683) < 0.066
+
+
+def test_a_gel_with_another_pitch_or_a_lost_dot_is_not_accepted() -> None:
+    bent = [Push(p.side, p.rest_px + 3.0 * (np.arange(63)[:, None] % 2), p.moved_px)
+            for p in pushes()]  # fmt: skip
+    assert not estimate_cameras(bent, PITCH_MM).acceptable
+    with pytest.raises(RefusedError, match="MARKERS"):
+        fit_lattice(np.zeros((62, 2)))
+
+
+@pytest.mark.parametrize("swap", [False, True])
+@pytest.mark.parametrize("left", ["none", "x", "y", "both"])
+@pytest.mark.parametrize("right", ["none", "x", "y", "both"])
+def test_every_way_that_two_cameras_can_sit_is_found(swap, left, right) -> None:
+    seen = pushes()
+    for camera, mirror in enumerate((left, right)):
+        for axis, names in ((0, ("x", "both")), (1, ("y", "both"))):
+            if mirror in names:
+                seen = [mirrored(push, camera, axis) for push in seen]
+    if swap:
+        seen = [exchanged(push) for push in seen]
+    found = find_setting(seen)
+    assert found.exchanged == swap
+    assert found.mirror == {"left": left, "right": right}
+    wrong = swap or (left, right) != ("none", "none")
+    assert bool(estimate_cameras(seen, PITCH_MM).obstacle) == wrong
+
+
+def test_motion_of_a_picture_is_told_by_shift_and_turn() -> None:
+    rest, angle = GEL.rest_px[0], 0.03
+    arm = rest - rest.mean(axis=0)
+    moved = arm @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]) - arm
+    shift, turn = image_motion(rest, moved + np.array([1.5, -2.0]))
+    np.testing.assert_allclose(shift, [1.5, -2.0])
+    assert turn == pytest.approx(np.sin(angle))
+
+
+def test_presses_that_tell_nothing_are_refused_by_name() -> None:
+    full = pushes()
+    weak = [Push(p.side, p.rest_px, 0.01 * p.moved_px) for p in full]
+    even = [Push(p.side, p.rest_px, full[0].moved_px) for p in full]
+    for given, reason in ((full[:3], "PUSHES"), (weak, "WEAK-PUSH"), (even, "EVEN-PUSH")):
+        with pytest.raises(RefusedError) as refused:
+            find_setting(given)
+        assert refused.value.reason == reason

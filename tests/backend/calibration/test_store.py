@@ -1,0 +1,122 @@
+"""A calibration is a file that says what it is, whose, for how long, and by what hash."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+
+from backend.calibration.estimate import Estimate, Quantity
+from backend.calibration.record import DeviceName, read_record
+from backend.calibration.store import CalibrationStore
+from backend.core.faults import InputError, RefusedError
+
+NOW = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)
+DEVICES = {
+    "force_torque": DeviceName(maker="W", model="Six", serial="F1"),
+    "gripper": DeviceName(maker="G", model="Jaws", serial="G1"),
+    "arm": DeviceName(maker="A", model="Arm", serial="A1"),
+}
+FOUND = Estimate(
+    (Quantity("mass_kg", 1.5, 0.01, "kg"),),
+    np.eye(1),
+    np.array([0.1]),
+    0.1,
+    0.3,
+    "N",
+    note="Level.",
+)
+
+
+@pytest.fixture
+def store(tmp_path) -> CalibrationStore:
+    return CalibrationStore(tmp_path / "calibrations", "hardware")
+
+
+def test_the_file_tells_everything_and_names_itself(store) -> None:
+    path = store.accept("payload", FOUND, DEVICES, "Ada", NOW)
+    content = json.loads(path.read_text())
+    told = content.pop("sha256")
+    canonical = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    assert told == hashlib.sha256(canonical.encode()).hexdigest()
+    assert content["values"] == {"mass_kg": {"value": 1.5, "sigma": 0.01, "unit": "kg"}}
+    assert (content["residual"], content["limit"], content["unit"]) == (0.1, 0.3, "N")
+    assert content["date"] == "2026-03-01T12:00:00Z"
+    assert (content["expires_days"], content["person"], content["mode"]) == (90, "Ada", "hardware")
+    assert set(content["devices"]) == {"force_torque", "gripper"}
+    assert read_record(path).sha256 == told
+
+
+def test_what_is_not_acceptable_is_not_written(store) -> None:
+    for estimate, reason in (
+        (replace(FOUND, residual=0.31), "RESIDUAL"),
+        (replace(FOUND, residual=float("nan")), "RESIDUAL"),
+        (replace(FOUND, obstacle="Turn it."), "OBSTACLE"),
+    ):
+        with pytest.raises(RefusedError) as refused:
+            store.accept("payload", estimate, DEVICES, now=NOW)
+        assert refused.value.reason == reason
+    assert not store.folder.exists()
+
+
+def test_the_newest_holds_until_it_expires(store) -> None:
+    assert store.standing("payload", DEVICES, NOW).condition == "missing"
+    store.accept("payload", FOUND, DEVICES, now=NOW)
+    newer = store.accept("payload", replace(FOUND, residual=0.2), DEVICES, now=NOW + timedelta(1))
+    standing = store.standing("payload", DEVICES, NOW + timedelta(90.9))
+    assert standing.condition == "valid"
+    assert standing.record == read_record(newer)
+    late = store.standing("payload", DEVICES, NOW + timedelta(94))
+    assert (late.condition, late.why) == ("expired", "expired 3 days ago")
+    assert late.fix == "Run 'touchdown calibrate payload'."
+
+
+def test_a_calibration_belongs_to_its_devices_and_to_its_kind_of_bench(store) -> None:
+    store.accept("payload", FOUND, DEVICES, now=NOW)
+    other = {**DEVICES, "force_torque": DeviceName(maker="W", model="Six", serial="F2")}
+    assert store.standing("payload", other, NOW).condition == "other device"
+    assert "force_torque F1" in store.standing("payload", other, NOW).why
+    # The arm is no part of a payload, and devices that are not there yet are not compared.
+    assert store.standing("payload", {"arm": other["force_torque"]}, NOW).condition == "valid"
+    elsewhere = CalibrationStore(store.folder, "simulated")
+    assert elsewhere.standing("payload", DEVICES, NOW).condition == "missing"
+
+
+def test_a_changed_or_broken_file_is_said_and_not_used(store) -> None:
+    path = store.accept("payload", FOUND, DEVICES, now=NOW)
+    good = path.read_text()
+    for bad, said in (
+        (good.replace('"value": 1.5', '"value": 1.4'), "was changed"),
+        (good.replace('"version": 1', '"version": 2'), "'version'"),
+        (good[:40], "no calibration"),
+        ("[]", "no calibration"),
+    ):
+        path.write_text(bad)
+        with pytest.raises(InputError, match=said):
+            read_record(path)
+        assert store.standing("payload", DEVICES, NOW).condition == "damaged"
+
+
+def test_a_bench_that_needs_them_is_refused_by_name_with_the_fix(store) -> None:
+    def refusal(now: datetime, devices=DEVICES) -> RefusedError:
+        with pytest.raises(RefusedError) as refused:
+            store.in_use(devices, required=True, now=now)
+        return refused.value
+
+    assert refusal(NOW).reason == "CALIBRATION-MISSING"
+    assert "touchdown calibrate payload" in refusal(NOW).detail
+    assert store.in_use(DEVICES, required=False, now=NOW) == {}
+    for what in ("payload", "board", "tool", "wrist", "camera"):
+        store.accept(what, FOUND, DEVICES, now=NOW)
+    used = store.in_use(DEVICES, required=True, now=NOW)
+    assert len({record.sha256 for record in used.values()}) == 5
+    error = refusal(NOW + timedelta(2))
+    assert error.reason == "CALIBRATION-EXPIRED"
+    assert error.detail.startswith("Board: expired 1 days ago")
+    assert set(store.in_use(DEVICES, required=False, now=NOW + timedelta(2))) == set(used) - {
+        "board"
+    }

@@ -9,6 +9,7 @@ from PySide6.QtWidgets import QWidget
 
 from app.keys import EVERYWHERE, Row, plain, refusal, remapped
 from app.stop_key import typing
+from widgets.choice_bar import BESIDE
 
 
 class Actions:
@@ -56,6 +57,7 @@ class _Bound:
         self._run_command = row.command.run
         self.action = QAction(row.text, window)
         self.action.setAutoRepeat(row.command.repeats)
+        self.action.setProperty(BESIDE, row.command.beside)
         self.action.triggered.connect(self._run)
         self.action.setEnabled(on)
         self.take(row)

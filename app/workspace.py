@@ -23,7 +23,8 @@ class Command:
     """One thing to do: a row of the key sheet, an entry of the palette, a key that can be changed.
 
     A key without Ctrl, Alt or function key is off while a text field has the focus; "" is no key.
-    ``repeats``: a held key acts again and again (only for what moves nothing).
+    ``repeats``: a held key acts again and again (only for what moves nothing). ``beside``: it acts
+    also while a question stands on the page.
     """
 
     name: str
@@ -31,6 +32,7 @@ class Command:
     key: str
     run: Callable[[], None]
     repeats: bool = False
+    beside: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from PySide6.QtCore import QEvent, Qt
-from PySide6.QtGui import QFocusEvent, QKeyEvent
+from PySide6.QtCore import QEvent, QKeyCombination, Qt
+from PySide6.QtGui import QFocusEvent, QKeyEvent, QKeySequence
 from PySide6.QtWidgets import QFrame, QGridLayout, QPushButton, QVBoxLayout, QWidget
 
 from widgets.panel import label
@@ -14,13 +14,16 @@ COLUMNS = 3
 LONG = 18
 """Answers with more letters than this stand two to a row."""
 ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
+BESIDE = "beside"
+"""Property of the actions whose keys act also while a question stands."""
 
 
 class ChoiceBar(QFrame):
     """Takes the keyboard until one of its keys, Esc, or the loss of the focus ends it.
 
     Two kinds: ``ask`` has a key for each answer; ``offer`` has none, so that no letter or digit
-    that was meant for something else is an answer: Tab marks, Enter takes what is marked.
+    that was meant for something else is an answer: Tab marks, Enter takes what is marked. Keys of
+    actions that may act beside a question (``BESIDE``) do so: looking closer is no answer.
     """
 
     def __init__(self, parent: QWidget) -> None:
@@ -61,9 +64,15 @@ class ChoiceBar(QFrame):
         answer: Callable[[str], None],
         typed: Callable[[str], None],
     ) -> None:
-        """Offer ``words``, one of them marked; ``typed`` gets what begins a number instead."""
-        self._choices, self._offered, self._marked = {}, list(words), marked
+        """Offer ``words``, one of them marked; ``typed`` gets what begins a number instead.
+
+        Asked once more while it stands, the question keeps its mark.
+        """
         self._answer, self._typed = answer, typed
+        if self.isVisible() and self.accessibleName() == title and self._offered == list(words):
+            self.setFocus()
+            return
+        self._choices, self._offered, self._marked = {}, list(words), marked
         self._show(f"{title}  (Enter: take, Tab: next, Esc: leave)", title, words, words)
         self._mark(marked)
 
@@ -73,11 +82,21 @@ class ChoiceBar(QFrame):
         return self._offered[self._marked] if self._offered else ""
 
     def event(self, event: QEvent) -> bool:
-        """Claim every key before the shortcuts of the window do."""
-        if event.type() is QEvent.Type.ShortcutOverride:
-            event.accept()
-            return True
+        """Claim keys before the shortcuts of the window do, but for those that act beside."""
+        if event.type() is QEvent.Type.ShortcutOverride and isinstance(event, QKeyEvent):
+            if event.text().upper() in self._choices or not self._acts_beside(event):
+                event.accept()
+                return True
+            return False
         return super().event(event)
+
+    def _acts_beside(self, event: QKeyEvent) -> bool:
+        keypad = Qt.KeyboardModifier.KeypadModifier
+        pressed = QKeySequence(QKeyCombination(event.modifiers() & ~keypad, Qt.Key(event.key())))
+        return any(
+            action.property(BESIDE) and action.isEnabled() and action.shortcut() == pressed
+            for action in self.window().actions()
+        )
 
     def focusNextPrevChild(self, forward: bool) -> bool:
         """Let Tab mark the next answer, Shift+Tab the one before."""

@@ -86,9 +86,13 @@ class Film(QWidget):
 
     def show_reel(self, reel: Reel, span_s: tuple[float, float], cursor_s: float) -> None:
         """Show another probe, which lasts from ``span_s[0]`` to ``span_s[1]``."""
+        self.take_reel(reel, span_s)
+        self.show_cursor(cursor_s)
+
+    def take_reel(self, reel: Reel, span_s: tuple[float, float]) -> None:
+        """Take another probe; the next cursor shows it."""
         self.stop()
         self._reel, self._span_s = reel, span_s
-        self.show_cursor(cursor_s)
 
     def show_cursor(self, t_s: float) -> None:
         """Show what each finger saw last at this time."""

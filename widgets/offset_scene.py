@@ -13,6 +13,8 @@ from backend.core.flow import FloatArray, SupportKind
 
 GhostKind = Literal["commanded", "measured", "scene", "model"]
 Point = tuple[float, float]
+EDGE_MM, REACH_STEP_MM = 2.0, 6.0
+"""Room round what is drawn; the square grows in such steps, not with every nudge."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +51,18 @@ class OffsetScene:
 
     @property
     def reach_mm(self) -> float:
-        """Half width of the square in which the faces can touch: it does not follow a nudge."""
-        return float(np.abs(self.bottom).max() + np.abs(self.face).max()) + 2.0
+        """Half width of the square that holds all that is drawn.
+
+        The same for every label whose centre lies over the bottom, so that episodes compare.
+        """
+        face = float(np.hypot(*self.face.T).max() if self.yaw_rad else np.abs(self.face).max())
+        usual = float(np.abs(self.bottom).max()) + face + EDGE_MM
+        placed = [(ghost.offset_mm, ghost.sigma_mm) for ghost in self.ghosts]
+        if self.offset_mm is not None:
+            placed.append((self.offset_mm, self.sigma_mm))
+        far = max((max(map(abs, at)) + max(face, sigma) for at, sigma in placed), default=0.0)
+        more = max(far + EDGE_MM - usual, 0.0)
+        return usual + REACH_STEP_MM * math.ceil(more / REACH_STEP_MM)
 
 
 def verdict_in_words(scene: OffsetScene) -> str:

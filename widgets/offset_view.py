@@ -31,6 +31,9 @@ class OffsetView(QWidget):
         self.scene: OffsetScene | None = None
         self.editable = True
         self._held_mm: Point | None = None
+        self._grasped: PlotArea | None = None
+        """The scale at which the face was taken: one that grows meanwhile moves no face."""
+        self._reach_mm = 1.0
         self._ground: QPixmap | None = None
         self._behind: QPixmap | None = None
         self._ground_key: tuple[object, ...] = ()
@@ -56,9 +59,10 @@ class OffsetView(QWidget):
         """Show another displacement or another episode."""
         self.scene = scene
         if scene is None:
-            self._held_mm = None
+            self._held_mm = self._grasped = None
             self.setAccessibleDescription("No episode")
         else:
+            self._reach_mm = scene.reach_mm
             words = offset_in_words(scene.offset_mm, scene.sigma_mm)
             self.setAccessibleDescription(f"{words}. {verdict_in_words(scene)}.")
         self.update()
@@ -70,7 +74,7 @@ class OffsetView(QWidget):
         side = max(min(self.width() - left - edge, self.height() - bottom - edge), 60.0)
         x = left + (self.width() - left - edge - side) / 2
         y = edge + (self.height() - bottom - edge - side) / 2
-        reach = self.scene.reach_mm if self.scene is not None else 1.0
+        reach = self._reach_mm
         return PlotArea(QRectF(x, y, side, side), -reach, reach, -reach, reach)
 
     # -- dragging ---------------------------------------------------------------------------------
@@ -80,6 +84,7 @@ class OffsetView(QWidget):
         scene = self.scene
         if scene is None or not self.editable or event.button() is not Qt.MouseButton.LeftButton:
             return
+        self._grasped = self.area()
         at = self._at_mm(event.position())
         offset = scene.offset_mm or at
         self._held_mm = (at[0] - offset[0], at[1] - offset[1])
@@ -95,11 +100,11 @@ class OffsetView(QWidget):
     def mouseReleaseEvent(self, _event: QMouseEvent) -> None:
         """One drag is one step."""
         if self._held_mm is not None:
-            self._held_mm = None
+            self._held_mm = self._grasped = None
             self._dropped()
 
     def _at_mm(self, at: QPointF) -> Point:
-        area = self.area()
+        area = self._grasped or self.area()
         x = area.x0 + (at.x() - area.rect.left()) / area.rect.width() * (area.x1 - area.x0)
         y = area.y1 - (at.y() - area.rect.top()) / area.rect.height() * (area.y1 - area.y0)
         return x, y
@@ -138,7 +143,7 @@ class OffsetView(QWidget):
     def _fitting_ground(self, scene: OffsetScene, area: PlotArea) -> tuple[object, ...]:
         """Have grid and bottom drawn, once per pair of faces; return what they depend on."""
         key = (self.size().toTuple(), self._theme.tokens.name, self._theme.scale,
-               id(scene.bottom), id(scene.face))  # fmt: skip
+               id(scene.bottom), id(scene.face), self._reach_mm)  # fmt: skip
         if self._ground is None or key != self._ground_key:
             ratio = self.devicePixelRatioF()
             self._ground, self._ground_key = QPixmap(self.size() * ratio), key

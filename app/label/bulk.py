@@ -3,23 +3,36 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 
 from app.label.bulk_form import BulkForm
 from app.label.edit import parse
 from app.label.presenter import LabelPresenter
 from backend.catalogue.bulk import Change, MoveGeometry, Preview, RotateFrame, SetState, ShiftOrigin
 from backend.objects.catalogue import Catalogue
+from widgets.choice_bar import ChoiceBar
+
+YES = (("1", "Change them"),)
 
 
 class BulkPresenter:
     """Holds the preview; what is applied is what was previewed, or nothing."""
 
-    def __init__(self, form: BulkForm, presenter: LabelPresenter, catalogue: Catalogue) -> None:
-        self._form, self._on, self._catalogue = form, presenter, catalogue
+    def __init__(
+        self, form: BulkForm, presenter: LabelPresenter, catalogue: Catalogue, choice: ChoiceBar
+    ) -> None:
+        self._form, self._on, self._catalogue, self._choice = form, presenter, catalogue, choice
         self._preview: Preview | None = None
 
     def preview(self) -> None:
         """Work out what would change in the queue that is shown."""
+        self._begin(self._show)
+
+    def preview_and_ask(self) -> None:
+        """Do so, and ask whether to do it: for whoever has no mouse."""
+        self._begin(self._show_and_ask)
+
+    def _begin(self, done: Callable[[Preview], None]) -> None:
         self._preview = None
         self._form.apply.setEnabled(False)
         kind, text = str(self._form.kind.currentData()), self._form.value.text().strip()
@@ -30,7 +43,7 @@ class BulkPresenter:
             return
         book, person, order = self._on.book, self._on.sitting.person, list(self._on.walk.order)
         self._on.flushed(
-            lambda: self._on.saving.save(lambda: book.preview(person, order, change), self._show)
+            lambda: self._on.saving.save(lambda: book.preview(person, order, change), done)
         )
 
     def apply(self) -> None:
@@ -47,6 +60,12 @@ class BulkPresenter:
         self._preview = found
         self._form.found.setText(preview_words(found))
         self._form.apply.setEnabled(bool(found.rows))
+
+    def _show_and_ask(self, found: Preview) -> None:
+        self._show(found)
+        if found.rows:
+            count = _labels(len(found.rows))
+            self._choice.ask(f"{count} will change.", YES, lambda _: self.apply())
 
     def _applied(self, count: int) -> None:
         self._preview = None

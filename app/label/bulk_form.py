@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
+from app.label.entry import Entry
 from widgets.panel import label
 
 KINDS: tuple[tuple[str, str, str], ...] = (
@@ -19,13 +20,22 @@ KINDS: tuple[tuple[str, str, str], ...] = (
 
 
 class BulkForm(QWidget):
-    """What to change, a preview in words, and the button that does it."""
+    """What to change, a preview in words, and the button that does it.
 
-    def __init__(self, preview: Callable[[], None], apply: Callable[[], None]) -> None:
+    ``entered``: Enter in the line, ``leave``: Esc.
+    """
+
+    def __init__(
+        self,
+        preview: Callable[[], None],
+        apply: Callable[[], None],
+        entered: Callable[[], None],
+        leave: Callable[[], None],
+    ) -> None:
         super().__init__()
-        self.kind, self.value = QComboBox(), QLineEdit()
+        self.kind = QComboBox()
+        self.value = Entry("By how much, or why", "", lambda _: entered(), leave)
         self.kind.setAccessibleName("Change")
-        self.value.setAccessibleName("By how much, or why")
         for name, text, _ in KINDS:
             self.kind.addItem(text, name)
         self.preview, self.apply = QPushButton("Preview"), QPushButton("Apply")

@@ -80,7 +80,6 @@ class Decisions:
             self._on.saving.save(lambda: book.approve(person, uuid, looked=looked), self._then_next)
 
     def _then_next(self, _: object) -> None:
-        self._on.reload()
         self._on.go_on()
 
     def reject(self) -> None:

@@ -70,8 +70,13 @@ class Editing:
         self._front.do(lambda: self._change(lambda edit: edit.nudged(dx_um, dy_um)))
 
     def nudged(self) -> None:
-        """Save what was nudged; no question comes between while something is being typed."""
-        if self._page.typing and self._sitting.sigma_mm is None:
+        """Save what was nudged; no question comes between typing or another question."""
+        unsure, asked = self._sitting.sigma_mm is None, self._page.choice
+        asks_sigma = asked.isVisible() and bool(asked.marked)
+        if unsure and asks_sigma:
+            # What is nudged while sigma is asked is saved with the answer.
+            self._nudging.stop()
+        elif asks_sigma or (unsure and (self._page.typing or asked.isVisible())):
             self._nudging.start()
         else:
             self._front.do(self.save)
@@ -160,9 +165,13 @@ class Editing:
             now.edit = now.edit.trusted(self._sitting.sigma_mm)
             then()
         else:
-            self.ask_sigma(lambda: self.trusted(then))
+            self._ask_sigma(lambda: self.trusted(then))
 
-    def ask_sigma(self, then: Intent) -> None:
+    def say_sigma(self) -> None:
+        """Ask how sure the person is because they want to say so; save what is nudged meanwhile."""
+        self._ask_sigma(lambda: self._front.do(self.save))
+
+    def _ask_sigma(self, then: Intent) -> None:
         """Ask how sure the person is; asked once a sitting, changed by a key."""
 
         def take(sigma_mm: float) -> None:

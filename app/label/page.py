@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from PySide6.QtCore import QEvent, Qt
+from PySide6.QtCore import Qt
 from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import (
     QComboBox,
     QHBoxLayout,
-    QLineEdit,
     QPushButton,
     QVBoxLayout,
     QWidget,
 )
 
 from app.label.bulk_form import BulkForm
+from app.label.entry import Entry
 from app.label.health_panel import HealthPanel
 from app.label.item import Sheets
 from app.label.side import SideTabs
@@ -58,39 +58,9 @@ class LabelIntents:
     tab: Callable[[int], None]
     preview: Callable[[], None]
     apply: Callable[[], None]
+    entered: Callable[[], None]
     look: Callable[[], None]
     finding: Callable[[int], None]
-
-
-class Entry(QLineEdit):
-    """One line to type: Enter takes it, Esc leaves; while it has the focus no other key acts."""
-
-    def __init__(
-        self, name: str, hint: str, typed: Callable[[str], None], leave: Callable[[], None]
-    ) -> None:
-        super().__init__()
-        self._typed, self._leave = typed, leave
-        self.setAccessibleName(name)
-        self.setPlaceholderText(hint)
-        self.hide()
-
-    def event(self, event: QEvent) -> bool:
-        """Claim Enter and Esc before the shortcuts of the page do."""
-        if event.type() is QEvent.Type.ShortcutOverride and isinstance(event, QKeyEvent):
-            enter = (Qt.Key.Key_Return, Qt.Key.Key_Enter, Qt.Key.Key_Escape)
-            if event.key() in enter:
-                event.accept()
-                return True
-        return bool(super().event(event))
-
-    def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Set or leave."""
-        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
-            self._typed(self.text())
-        elif event.key() == Qt.Key.Key_Escape:
-            self._leave()
-        else:
-            super().keyPressEvent(event)
 
 
 class LabelPage(QWidget):
@@ -106,17 +76,21 @@ class LabelPage(QWidget):
             self.queue.addItem(text, name)
         self.queue.setAccessibleName("Queue")
         self.list = LabelList(theme, intents.choose_row)
-        self.bulk = BulkForm(intents.preview, intents.apply)
+        self.bulk = BulkForm(intents.preview, intents.apply, intents.entered, self.setFocus)
         self.health = HealthPanel(intents.look, intents.finding)
-        self.side = SideTabs(intents.restore, intents.search, intents.tab, self.bulk, self.health)
+        self.side = SideTabs(
+            intents.restore, intents.search, intents.tab, self.setFocus, self.bulk, self.health
+        )
         self.strip = StateStrip(theme)
         self.view = OffsetView(theme, intents.move, intents.drop)
         self.verdict, self.basis = ElidedLabel("head"), ElidedLabel("muted")
         self.model_line, self.scene_line = ElidedLabel("muted"), ElidedLabel("muted")
         self.message = ElidedLabel("")
-        self.entry = Entry("Displacement x,y in mm", "x,y in mm: Enter sets, Esc leaves",
-                           intents.typed, self.leave_entry)  # fmt: skip
+        self.entry = Entry("Displacement x,y in mm", "1.5,-2", intents.typed, self.leave_entry)
+        self.caption = ElidedLabel("muted")
         self.words = Entry("Words", "", self._take_words, self.leave_entry)
+        for line in (self.caption, self.entry, self.words):
+            line.hide()
         self._answer: Callable[[str], None] = _nothing
         self.banner = UnsavedBanner(intents.again, intents.discard)
         self.film = Film(theme, intents.seek)
@@ -163,6 +137,7 @@ class LabelPage(QWidget):
             self.basis,
             self.scene_line,
             self.model_line,
+            self.caption,
             self.entry,
             self.words,
             self.message,
@@ -229,18 +204,26 @@ class LabelPage(QWidget):
         """Begin to type a displacement."""
         if not self.entry.isVisible():
             self.entry.clear()
-            self.entry.show()
+            self._show_line(self.entry, "x,y in mm, or x,y,sigma: Enter sets, Esc leaves")
         self.entry.setFocus()
         self.entry.insert(first)
 
     def ask_words(self, hint: str, first: str, answer: Callable[[str], None]) -> None:
         """Ask for words; an empty line is no answer."""
         self._answer = answer
-        self.words.setPlaceholderText(f"{hint}: Enter takes it, Esc leaves")
         self.words.setText(first)
         self.words.selectAll()
-        self.words.show()
+        self.words.setAccessibleName(hint)
+        self._show_line(self.words, f"{hint}: Enter takes it, Esc leaves")
         self.words.setFocus()
+
+    def _show_line(self, line: Entry, caption: str) -> None:
+        """Show one line to type, and above it what it is for."""
+        for other in (self.entry, self.words):
+            other.setVisible(other is line)
+        self.caption.setText(caption)
+        self.caption.setToolTip(caption)
+        self.caption.show()
 
     def _take_words(self, text: str) -> None:
         if text.strip():
@@ -249,8 +232,8 @@ class LabelPage(QWidget):
 
     def leave_entry(self) -> None:
         """Stop typing."""
-        self.entry.hide()
-        self.words.hide()
+        for line in (self.caption, self.entry, self.words):
+            line.hide()
         self.setFocus()
 
     def say(self, text: str, *, bad: bool = False) -> None:
@@ -279,6 +262,15 @@ class LabelPage(QWidget):
             self._intents.key(text)
         else:
             super().keyPressEvent(event)
+
+    def next_pictures(self) -> None:
+        """Show the other pictures: the film, or those of the scene camera."""
+        self.pictures.setCurrentIndex(1 - self.pictures.currentIndex())
+
+    def list_curves(self) -> None:
+        """Open the list of what can be drawn on one axis: arrows and Enter choose."""
+        self.curves.setFocus()
+        self.curves.showPopup()
 
     def _queue_chosen(self, at: int) -> None:
         self._intents.choose_queue(str(self.queue.itemData(at)))

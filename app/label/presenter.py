@@ -13,7 +13,7 @@ from app.label.commits import Commits
 from app.label.edit import Edit
 from app.label.editing import Editing
 from app.label.evidence import badges_of
-from app.label.item import Prelabel, Sheets, reader
+from app.label.item import LabelItem, Prelabel, Sheets, reader
 from app.label.looking import LookClock
 from app.label.page import LabelPage
 from app.label.post import Post
@@ -58,6 +58,7 @@ class LabelPresenter:
         self.walk = Walk(page.list, self._prefetch)
         self.clock = LookClock()
         self._news = ""
+        self._badges: tuple[str, ...] = ()
 
     def close(self) -> None:
         """End the reading ahead; an edit that waits is saved first."""
@@ -102,12 +103,18 @@ class LabelPresenter:
 
     def _take_queue(self, queue: Queue, stay: str) -> None:
         self.walk.begin(*queue, stay)
-        self._show_count()
         self._show_present()
 
     def go_to(self, at: int) -> None:
         """Bring another episode of the queue to the front."""
         self.flushed(lambda: self._go(at))
+
+    def go_to_number(self, text: str) -> None:
+        """Go to a place that was typed, counted from 1."""
+        if text.isdecimal() and 1 <= int(text) <= len(self.walk.order):
+            self.go_to(int(text) - 1)
+        else:
+            self._page.say(f"The queue has no number {text}.", bad=True)
 
     def move(self, by: int) -> None:
         """Go on (1) or back (-1) without a decision; going on over an undecided one skips it."""
@@ -125,7 +132,14 @@ class LabelPresenter:
         return self.present is not None and self.present.edit.base.state in ("unlabelled", "draft")
 
     def go_on(self) -> None:
-        """Go to the next episode after a decision."""
+        """Go to the next episode after a decision; until it is there the decided one stays."""
+        now = self.present
+        if now is not None and isinstance(self.walk.ahead(), LabelItem):
+            # Nobody will see the decided label again here: only its row is shown anew.
+            self._take(now)
+            self.walk.note(now.item.entry.uuid, self._badges_of(now))
+        else:
+            self.reload()
         self._go(self.walk.at + 1)
 
     def show_at(self, at: int) -> None:
@@ -152,6 +166,7 @@ class LabelPresenter:
         self.saving.hold(ready is None)
         if ready is None:
             return
+        self._show_count()
         self.clock.restart()
         self._sheets = self._page.sheets()
         self._page.say(self._news or self._said_of_present())
@@ -189,22 +204,20 @@ class LabelPresenter:
         self.show_edit()
         told = [] if self.sitting.opines else history_rows(now.history, now.edit.base)
         self._page.side.history.show_rows(told)
-        self.walk.note(now.item.entry.uuid, self.badges())
+        self.walk.note(now.item.entry.uuid, self._badges)
 
     def show_edit(self) -> None:
         """Show where the face is now, saved or not."""
         now = self.present
         if now is not None:
+            self._badges = self._badges_of(now)
             hides = self.sitting.hides
             show.show_edit(self._page, now.item, now.edit, now.history, hidden=hides)
             self._show_saving()
 
-    def badges(self) -> tuple[str, ...]:
-        """Return the badge of the present label, if other evidence differs notably."""
-        now = self.present
-        if now is None or self.sitting.hides:
-            return ()
-        return badges_of(now.edit, now.item)
+    def _badges_of(self, now: Present) -> tuple[str, ...]:
+        """Return the badge of a label, if other evidence differs notably."""
+        return () if self.sitting.hides else badges_of(now.edit, now.item)
 
     def _show_saving(self) -> None:
         page, now, trouble = self._page, self.present, self.saving.trouble
@@ -217,7 +230,7 @@ class LabelPresenter:
             saved = "not saved yet" if self.sitting.opines else "unsaved"
         else:
             saved = f"saved {clock(now.edit.base.at_ns)}, rev {len(now.history)}"
-        badges = self.badges()
+        badges = self._badges
         flags = ("flag",) if self.walk.entries[now.item.entry.uuid].flagged else ()
         verdict = (f"says {now.edit.base.verdict}",) if now.edit.base.verdict else ()
         page.strip.show_label(now.edit.base.state, (*badges, *flags, *verdict), saved,
@@ -225,7 +238,8 @@ class LabelPresenter:
 
     def _show_count(self) -> None:
         count = len(self.walk.order)
-        self._page.queue_panel.detail.setText("1 episode" if count == 1 else f"{count} episodes")
+        place = f"{self.walk.at + 1:,} of {count:,}" if count else "empty"
+        self._page.queue_panel.detail.setText(place)
 
     def refuse(self, reason: str) -> None:
         """Say why something was not done; the edit goes back to what holds."""
@@ -250,10 +264,14 @@ class LabelPresenter:
         """Show what the dataset says of the present episode now."""
         now = self.present
         if now is not None:
-            uuid = now.item.entry.uuid
-            now.edit, now.history = self._begin(uuid), self.book.history(uuid)
-            self.walk.take(self.dataset.entry(uuid))
+            self._take(now)
             self._show_label()
+
+    def _take(self, now: Present) -> None:
+        """Take what the dataset says of an episode."""
+        uuid = now.item.entry.uuid
+        now.edit, now.history = self._begin(uuid), self.book.history(uuid)
+        self.walk.entries[uuid] = self.dataset.entry(uuid)
 
     def looked(self) -> Looked:
         """Return how the person came to the answer."""

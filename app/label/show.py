@@ -19,7 +19,7 @@ def show_item(page: LabelPage, item: LabelItem) -> None:
     """Show what was recorded."""
     first, last = item.span_s
     at_s = min(max(CURSOR_S, first), last)
-    page.film.show_reel(item.reel, (max(first, 0.0), last), at_s)
+    page.film.take_reel(item.reel, (max(first, 0.0), last))
     ahead = item.ahead
     page.forces.show_trace(item.trace, None if ahead is None else ahead.forces)
     page.moments.show_trace(item.trace, None if ahead is None else ahead.moments)

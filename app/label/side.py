@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 
 from PySide6.QtWidgets import (
     QButtonGroup,
-    QLineEdit,
     QListWidget,
     QPushButton,
     QStackedWidget,
@@ -14,33 +13,35 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from app.label.entry import Entry
 from widgets.history_list import HistoryList
 from widgets.panel import Panel, label
 from widgets.wrapped_items import WrappedItems
 
 TABS = ("History", "Agree", "Log", "Bulk", "Health")
-HEALTH = 4
+HISTORY, BULK, HEALTH = 0, 3, 4
 
 
 class SideTabs(Panel):
-    """Views in one place; ``search`` is told what to look for in the log."""
+    """Views in one place; ``search`` is told what to look for in the log, ``leave`` its end."""
 
     def __init__(
         self,
         restore: Callable[[str], None],
         search: Callable[[str], None],
         entered: Callable[[int], None],
+        leave: Callable[[], None],
         bulk: QWidget,
         health: QWidget,
     ) -> None:
         super().__init__("")
         self.history = HistoryList(restore)
         self.agreement = label("", wrap=True)
-        self.log, self.needle = QListWidget(), QLineEdit()
+        self.log = QListWidget()
+        hint = "Search person, action, episode"
+        self.needle = Entry("Search the log", hint, lambda _: leave(), leave)
         WrappedItems(self.log)
         self.log.setAccessibleName("Log of all actions")
-        self.needle.setPlaceholderText("Search person, action, episode")
-        self.needle.setAccessibleName("Search the log")
         self.needle.textChanged.connect(search)
         self._stack = QStackedWidget()
         log = QWidget()

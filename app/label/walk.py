@@ -70,6 +70,11 @@ class Walk:
             self._prefetch.get(uuid)
         )  # fmt: skip
 
+    def ahead(self) -> LabelItem | Exception | None:
+        """Return the next item of the queue, if there is one and it is there."""
+        at = self.at + 1
+        return self._prefetch.get(self.order[at]) if at < len(self.order) else None
+
     def held(self) -> tuple[str, ...]:
         """Return which episodes are in memory."""
         return self._prefetch.held()

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from app.label.bulk import BulkPresenter
+from app.label.commands import commands_of
 from app.label.commits import Commits
 from app.label.decisions import Decisions
 from app.label.halves import Halves
@@ -16,17 +17,15 @@ from app.label.panels import SidePresenter
 from app.label.post import Post
 from app.label.presenter import LabelPresenter
 from app.label.side import HEALTH
+from app.label.side_keys import SideKeys
 from app.label.sitting import Sitting
 from app.label.whole import WholeDataset
 from app.label.words import FINDING, QUEUES
-from app.workspace import Command, Desk, Memory, Workspace
+from app.workspace import Desk, Memory, Workspace
 from backend.catalogue.review import check_person
 from backend.core.faults import InputError, TouchdownError
 from backend.runs.store import data_folder
 from widgets.fault_cards import CardText
-
-STEPS_UM = (("", 100), ("Shift+", 1000), ("Alt+", 10))
-ARROWS = (("Left", -1, 0), ("Right", 1, 0), ("Up", 0, 1), ("Down", 0, -1))
 
 
 def default_folder() -> Path:
@@ -57,8 +56,9 @@ class LabelWorkspace(Workspace):
         self.bulk: BulkPresenter | None = None
         self.whole: WholeDataset | None = None
         self.health: HealthPresenter | None = None
+        self.side_keys: SideKeys | None = None
         self._opened: Opened | None = None
-        self.commands = self._commands()
+        self.commands = commands_of(self, desk)
         self.held_keys = tuple((key, "Type a displacement x,y in mm") for key in "0123456789-.")
 
     # -- life -------------------------------------------------------------------------------------
@@ -67,7 +67,7 @@ class LabelWorkspace(Workspace):
         """Ask who labels, open the dataset if it is not open yet, read the queue anew."""
         self.label_page.setFocus()
         if not self.sitting.person:
-            self._ask_person()
+            self.ask_person()
         elif self.presenter is None:
             self.open()
         else:
@@ -147,7 +147,12 @@ class LabelWorkspace(Workspace):
         )
         self.decisions = Decisions(self.label_page, self.presenter)
         self.side = SidePresenter(self.label_page.side, self.presenter, self.commits)
-        self.bulk = BulkPresenter(self.label_page.bulk, self.presenter, opened.catalogue)
+        self.bulk = BulkPresenter(
+            self.label_page.bulk, self.presenter, opened.catalogue, self.label_page.choice
+        )
+        self.side_keys = SideKeys(
+            self.label_page, self.presenter, self.decisions, self.side, self.bulk
+        )
         self.whole = WholeDataset(self.label_page, self.presenter, opened, self.post)
         self.health = HealthPresenter(self.label_page, self.label_page.health, self.presenter)
         self.label_page.say("")
@@ -169,7 +174,8 @@ class LabelWorkspace(Workspace):
 
     # -- who --------------------------------------------------------------------------------------
 
-    def _ask_person(self) -> None:
+    def ask_person(self) -> None:
+        """Ask who labels."""
         if not self.sitting.person:
             self.label_page.show_nobody()
         self.label_page.ask_words("Your name", self.sitting.person, self.be)
@@ -211,122 +217,61 @@ class LabelWorkspace(Workspace):
 
     def _intents(self) -> LabelIntents:
         return LabelIntents(
-            choose_row=lambda at: self._on(lambda p: p.go_to(at)),
+            choose_row=lambda at: self.on(lambda p: p.go_to(at)),
             choose_queue=self._choose_queue,
-            move=lambda at_mm: self._on(lambda p: p.editing.place(at_mm)),
-            drop=lambda: self._on(lambda p: p.editing.drop()),
+            move=lambda at_mm: self.on(lambda p: p.editing.place(at_mm)),
+            drop=lambda: self.on(lambda p: p.editing.drop()),
             seek=lambda t_s: self.label_page.show_cursor(t_s),
-            restore=lambda rev: self._decide(lambda d: d.restore(rev)),
-            typed=lambda text: self._on(lambda p: p.editing.typed(text)),
+            restore=lambda rev: self.decide(lambda d: d.restore(rev)),
+            typed=lambda text: self.on(lambda p: p.editing.typed(text)),
             key=self._type,
-            again=lambda: self._decide(Decisions.enter),
-            discard=self._discard,
+            again=lambda: self.decide(Decisions.enter),
+            discard=self.discard,
             search=lambda text: self._search(text),
-            person=self._ask_person,
+            person=self.ask_person,
             tab=lambda _: self._search(""),
-            preview=lambda: self._bulk(BulkPresenter.preview),
-            apply=lambda: self._bulk(BulkPresenter.apply),
-            look=self._look_through,
-            finding=lambda row: self._healthy(lambda h: h.choose(row)),
+            preview=lambda: self.many(BulkPresenter.preview),
+            apply=lambda: self.many(BulkPresenter.apply),
+            entered=lambda: self.many(BulkPresenter.preview_and_ask),
+            look=self.look_through,
+            finding=lambda row: self.healthy(lambda h: h.choose(row)),
         )
 
-    def _commands(self) -> tuple[Command, ...]:
-        decide, film = self._decide, self.label_page.film
-        nudges = tuple(
-            Command(
-                f"nudge-{name.lower()}-{step}",
-                f"Move the face {step / 1000:g} mm {name.lower()}",
-                f"{prefix}{name}",
-                self._nudger(dx * step, dy * step),
-                repeats=True,
-            )
-            for prefix, step in STEPS_UM
-            for name, dx, dy in ARROWS
-        )
-        return (
-            Command("accept", "Accept (approve, while reviewing) and next", "Return",
-                    lambda: decide(Decisions.enter)),
-            *nudges,
-            Command("previous", "Previous, without a decision", "PgUp",
-                    lambda: self._on(lambda p: p.move(-1))),
-            Command("next", "Next, without a decision: skip", "PgDown",
-                    lambda: self._on(lambda p: p.move(1))),
-            Command("reject", "Reject, then 1 to 9 for the reason", "D",
-                    lambda: decide(Decisions.reject)),
-            Command("flag", "Flag, or take the flag off", "X", lambda: decide(Decisions.flag)),
-            Command("undo", "Undo my last action", "Ctrl+Z", lambda: decide(Decisions.undo)),
-            Command("redo", "Redo", "Ctrl+Shift+Z", lambda: decide(Decisions.redo)),
-            Command("undo-plain", "Undo my last action", "U", lambda: decide(Decisions.undo)),
-            Command("redo-plain", "Redo", "Shift+U", lambda: decide(Decisions.redo)),
-            Command("play", "Play the film from the cursor, or pause (Space)", "",
-                    film.play_or_pause),
-            Command("frame-back", "One frame back", "[", lambda: film.step(-1), repeats=True),
-            Command("frame-on", "One frame forward", "]", lambda: film.step(1), repeats=True),
-            Command("hide", "Hide or show the model and other sources", "H", self._hide),
-            Command("model", "Take the model's displacement", "M",
-                    lambda: self._on(lambda p: p.editing.take_model())),
-            Command("sigma", "Say how sure you are of what you set", "S",
-                    lambda: self._on(lambda p: p.editing.ask_sigma(_nothing))),
-            Command("verdict", "Your verdict, then S, U or ?", "V",
-                    lambda: decide(Decisions.verdict)),
-            Command("take-over", "Take over another's draft", "T",
-                    lambda: decide(Decisions.take_over)),
-            Command("resolve", "Resolve a conflict", "C", lambda: decide(Decisions.resolve)),
-            Command("delete", "Delete the episode, with a reason", "Delete",
-                    lambda: decide(Decisions.delete)),
-            *self._commands_of_the_whole(),
-            Command("discard", "Discard what could not be saved", "Esc", self._discard),
-            Command("sheet", "Key sheet", "?", self._desk.keys),
-        )  # fmt: skip
-
-    def _commands_of_the_whole(self) -> tuple[Command, ...]:
-        """Return what concerns the sitting or the dataset, not the episode in front."""
-        return (
-            Command("blind", "Blind mode: no model, no other sources", "Ctrl+B", self._blind),
-            Command("person", "Change the person", "Ctrl+U", self._ask_person),
-            Command("queue", "Choose the queue", "Ctrl+J", self._next_queue),
-            Command("reread", "Read the queue anew", "Ctrl+R",
-                    lambda: self._on(lambda p: p.flushed(p.read_queue))),
-            Command("score", "Let the model score the dataset: fills four queues", "Ctrl+M",
-                    lambda: self._all(WholeDataset.score)),
-            Command("health", "Look through the dataset for what is out of order", "Ctrl+H",
-                    self._look_through),
-            Command("findings", "Choose a finding, by its digit", "F",
-                    lambda: self._healthy(HealthPresenter.ask)),
-            Command("models", "Choose the models that pre-label: one, or several together", "",
-                    lambda: self._all(WholeDataset.choose_models)),
-            Command("merge", "Merge another copy of this dataset", "",
-                    lambda: self._all(WholeDataset.merge)),
-        )  # fmt: skip
-
-    def _nudger(self, dx_um: int, dy_um: int) -> Callable[[], None]:
-        return lambda: self._on(lambda p: p.editing.nudge(dx_um, dy_um))
-
-    def _on(self, act: Callable[[LabelPresenter], None]) -> None:
+    def on(self, act: Callable[[LabelPresenter], None]) -> None:
+        """Have the presenter do something, once the dataset is open."""
         if self.presenter is not None:
             act(self.presenter)
 
-    def _decide(self, act: Callable[[Decisions], None]) -> None:
+    def decide(self, act: Callable[[Decisions], None]) -> None:
+        """Have the decisions do something, once the dataset is open."""
         if self.decisions is not None:
             act(self.decisions)
 
-    def _all(self, act: Callable[[WholeDataset], None]) -> None:
+    def all(self, act: Callable[[WholeDataset], None]) -> None:
+        """Do something to the whole dataset, once it is open."""
         if self.whole is not None:
             act(self.whole)
 
-    def _healthy(self, act: Callable[[HealthPresenter], None]) -> None:
+    def healthy(self, act: Callable[[HealthPresenter], None]) -> None:
+        """Do something to the findings, once the dataset is open."""
         if self.health is not None:
             act(self.health)
 
-    def _look_through(self) -> None:
-        whole, health = self.whole, self.health
-        if whole is not None and health is not None:
-            self.label_page.side.choose(HEALTH)
-            whole.look_through(health.show)
-
-    def _bulk(self, act: Callable[[BulkPresenter], None]) -> None:
+    def many(self, act: Callable[[BulkPresenter], None]) -> None:
+        """Do something to many labels, once the dataset is open."""
         if self.bulk is not None:
             act(self.bulk)
+
+    def beside(self, act: Callable[[SideKeys], None]) -> None:
+        """Do something beside the picture, once the dataset is open."""
+        if self.side_keys is not None:
+            act(self.side_keys)
+
+    def ask_number(self) -> None:
+        """Ask for a place of the queue, and go there."""
+        self.on(lambda p: self.label_page.ask_words(
+            f"Number in the queue, 1 to {len(p.walk.order):,}", "", p.go_to_number
+        ))  # fmt: skip
 
     def _type(self, text: str) -> None:
         """Answer the question that is open with a digit, else begin a displacement with it."""
@@ -334,11 +279,19 @@ class LabelWorkspace(Workspace):
         if text == " ":
             page.film.play_or_pause()
             return
-        self._on(lambda p: p.do(
+        self.on(lambda p: p.do(
             lambda: page.choice.take(text) if page.choice.isVisible() else page.open_entry(text)
         ))  # fmt: skip
 
-    def _discard(self) -> None:
+    def look_through(self) -> None:
+        """Look for what is out of order in the dataset."""
+        whole, health = self.whole, self.health
+        if whole is not None and health is not None:
+            self.label_page.side.choose(HEALTH)
+            whole.look_through(health.show)
+
+    def discard(self) -> None:
+        """Give up what could not be saved."""
         if self.presenter is not None and self.presenter.saving.trouble is not None:
             self.presenter.saving.discard()
             self.presenter.reload()
@@ -347,20 +300,30 @@ class LabelWorkspace(Workspace):
         if self.side is not None:
             self.side.show(text)
 
-    def _hide(self) -> None:
+    def hide(self) -> None:
+        """Hide or show the model and other sources."""
         self.sitting.hidden = not self.sitting.hidden
-        self._on(LabelPresenter.show_edit)
+        self.on(LabelPresenter.show_edit)
 
-    def _blind(self) -> None:
-        self.sitting.blind = not self.sitting.blind
-        self.label_page.say("Blind mode is on." if self.sitting.blind else "Blind mode is off.")
-        self._on(LabelPresenter.show_edit)
+    def toggle_blind(self) -> None:
+        """Turn blind mode on or off; what is answered blind begins without a displacement."""
+
+        def turn() -> None:
+            self.sitting.blind = not self.sitting.blind
+            self.on(LabelPresenter.reload)
+            self.label_page.say(f"Blind mode is {'on' if self.sitting.blind else 'off'}.")
+
+        if self.presenter is None:
+            turn()
+        else:
+            self.presenter.flushed(turn)
 
     def _choose_queue(self, name: str) -> None:
-        self._on(lambda p: p.choose_queue(name))
+        self.on(lambda p: p.choose_queue(name))
         self._desk.remember()
 
-    def _next_queue(self) -> None:
+    def list_queues(self) -> None:
+        """Open the list of the queues: arrows and Enter choose."""
         self.label_page.queue.setFocus()
         self.label_page.queue.showPopup()
 

@@ -43,9 +43,12 @@ class Link(Protocol):
     fields: Mapping[Finger, Stream[MarkerField]]
     wrench: SampleStream
     catalogue: Catalogue
-    pace: float
     dataset: Dataset | None
     """Takes what is collected; set while no run goes on."""
+
+    @property
+    def pace(self) -> float:
+        """Bench seconds per wall second."""
 
     @property
     def engine(self) -> EngineLink:

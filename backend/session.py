@@ -12,7 +12,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Protocol
@@ -20,36 +20,40 @@ from typing import Protocol
 from backend.catalogue.dataset import Dataset
 from backend.config.bench_facts import BenchFacts
 from backend.config.method import StackSettings
-from backend.core.facts import Decision, FaultsReset
+from backend.core.facts import Decision, FaultsReset, Said
 from backend.core.faults import RefusedError
 from backend.core.flow import FINGERS, Finger, MarkerField, TactileFrame
 from backend.core.hub import Hub
 from backend.core.hush import Hush
 from backend.core.stream import SampleStream, Stream
 from backend.devices.guarded import GuardedArm, GuardedGripper
-from backend.devices.interlock import Interlock
+from backend.devices.interlock import Interlock, Limits
 from backend.devices.jog import Around
 from backend.devices.protocols import Device
 from backend.devices.supervision import Supervision
 from backend.objects.catalogue import Catalogue, Piece
+from backend.rig.connection import Connection
 from backend.runs.bench import Bench
 from backend.runs.engine import Engine
 from backend.runs.gate import Decisions, Gate
 from backend.runs.hand import Hand, Reach
 from backend.runs.host import RunHost
+from backend.runs.limit_journal import write_change
+from backend.runs.live_thread import LiveThread
 from backend.runs.plan import Plan
 from backend.runs.plans import plan_of
 from backend.runs.recording import Keep, Recorder
 from backend.runs.requests import Request, RunStatus, SceneChoice, SetRequest
 from backend.runs.stage import Stage
+from backend.runs.standing import FaultTeller, refuse_on_devices, stop_with
 from backend.sensing.live import LiveSensing, RawStreams
 
 __all__ = ["Keep", "Session"]
 
 STEP_US = 20_000
 """The bench advances in steps of 20 ms: a cancel is seen within that time."""
-BEHIND_S = 0.25
-"""A live bench that is later than this against the wall clock gives up catching up."""
+LIVE_MODES = {"simulated": "live simulation", "emulated": "emulated"}
+"""What recordings call a live bench, by its facts; anything else is a lab."""
 FRAME_CAPACITY, SAMPLE_CAPACITY = 192, 60_000
 """Newest 7.7 s of images per finger (44 MB each) and 60 s of 1 kHz samples are kept."""
 
@@ -92,7 +96,9 @@ class Session:
     ) -> None:
         self._make_stage, self._check, self.catalogue = make_stage, check, catalogue
         self._settings, self.facts = settings, facts
-        self.simulated = simulated = facts.mode == "simulated"
+        self.simulated, self.name = facts.mode == "simulated", ""
+        self.connection: Connection | None = None
+        """Devices that outlive every scene (None: each scene has its own)."""
         self.hub, self.interlock, self.gate = Hub(), Interlock(), Gate()
         self.hush = Hush()
         """Whoever shares this interpreter draws nothing while it is on."""
@@ -109,24 +115,28 @@ class Session:
         poses = SampleStream("arm", 3, SAMPLE_CAPACITY)
         self.wrench = SampleStream("wrench", 6, SAMPLE_CAPACITY)
         commands = SampleStream("arm_command", 3, SAMPLE_CAPACITY)
-        self._raw = RawStreams(self.frames, samples, poses, commands)
+        self.raw = RawStreams(self.frames, samples, poses, commands)
         self._supervision = Supervision(self.interlock, self.wrench, self.frames)
         self.engine = Engine(self.hub, self.interlock, self.clock_s)
-        mode = "live simulation" if simulated else "lab"
-        self._recorder = Recorder(keep, self.hub, self.interlock, mode)
+        mode = LIVE_MODES.get(facts.mode, "lab")
+        self._keep, self._recorder = keep, Recorder(keep, self.hub, self.interlock, mode)
+        self._teller = FaultTeller(self.hub, self.interlock)
         self._scene: _Scene | None = None
-        self._thread: threading.Thread | None = None
-        self._closing = threading.Event()
-        self._speed = 1.0
-        self.pace = 0.0
-        """Simulated seconds per wall second, measured while live."""
+        self._live = LiveThread(self._live_step, 1e-6 * STEP_US, self.engine.abandon)
 
     # -- for the window and for scripts -----------------------------------------------------------
 
     @property
     def devices(self) -> Mapping[str, Device]:
-        """The five devices of the present scene by name (empty before the first)."""
-        return {} if self._scene is None else self._scene.stage.devices
+        """The five devices by name; of a simulated bench those of the scene, once there is one."""
+        if self._scene is not None:
+            return self._scene.stage.devices
+        return {} if self.connection is None else self.connection.devices
+
+    @property
+    def pace(self) -> float:
+        """Bench seconds per wall second, measured while live."""
+        return self._live.pace
 
     @property
     def run_folder(self) -> Path | None:
@@ -148,10 +158,7 @@ class Session:
 
     def start(self, request: Request) -> None:
         """Begin a run (live); raises ``RefusedError`` while another goes on or after STOP."""
-        if self.engine.busy:
-            raise RefusedError("BUSY", "A run is going on: cancel it first.")
-        if self.hand is not None and self.hand.active:
-            raise RefusedError("BY-HAND", "The bench is being moved by hand: let go first.")
+        self._refuse_busy()
         if self.interlock.recovering:
             raise RefusedError("RECOVERY", "After a fault: jog away from contact first.")
         if not isinstance(request, SetRequest):
@@ -187,63 +194,76 @@ class Session:
         """Set a scene without starting a run, so that a live view has something to show."""
         self._set_scene(choice)
 
+    def join(self, connection: Connection, name: str, limits: Limits) -> None:
+        """Take the devices of lab ``name``, which outlive every scene; STOP reaches them now."""
+        self.connection, self.name = connection, name
+        self.interlock.change_limits(limits, self.clock_s())
+        stop_with(connection, self.interlock)
+
+    def leave_scene(self) -> None:
+        """Let nothing move until a scene is set again: a device will be disconnected."""
+        self._refuse_busy()
+        self._scene = None
+
+    def home_gripper(self) -> None:
+        """Home the gripper, whose jaws must be empty; raises ``RefusedError``."""
+        self._refuse_busy()
+        if self.interlock.latched:
+            raise RefusedError("LATCHED", "The bench is stopped: press Reset first.")
+        if self.connection is not None:
+            self.connection.home()
+
+    def change_limits(self, limits: Limits, person: str) -> None:
+        """Take other limits, between motions, once the change is durable in the limit journal.
+
+        Raises ``RefusedError`` while something moves, ``InputError`` where the disk refuses.
+        """
+        self._refuse_busy()
+        if self._keep.runs is not None:
+            write_change(self._keep.runs, self.name, person, self.interlock.limits, limits)
+        self.interlock.change_limits(limits, self.clock_s())
+        self.hub.publish(Said(self.clock_s(), f"Limits changed by {person}."))
+
     # -- time -------------------------------------------------------------------------------------
 
     def advance(self) -> None:
         """Move the bench by one step and process what the sensors delivered."""
-        if self._scene is None:
-            return
-        self._scene.hand.tick()
-        self._scene.stage.advance(STEP_US)
-        self._scene.sensing.update()
-        self._supervision.check(self.clock_s())
+        if self.connection is not None:
+            self.connection.watch(self.interlock.raise_fault)
+        if (scene := self._scene) is not None:
+            scene.hand.tick()
+            scene.stage.advance(STEP_US)
+            scene.sensing.update()
+            self._supervision.check(self.clock_s())
+        if not self.engine.busy:
+            self._teller.tell(self.clock_s())
 
     def open(self, speed: float = 1.0) -> None:
         """Start the live thread; ``speed`` simulated seconds per wall second."""
-        if self._thread is None:
-            self._closing.clear()
-            self._speed = speed
-            self._thread = threading.Thread(target=self._live, name="bench", daemon=True)
-            self._thread.start()
+        self._live.open(speed)
 
     def close(self) -> None:
         """Stop motion, end the run and the live thread; the gripper stays as it is."""
         if self.engine.busy:
             self.interlock.stop("shutdown")
-        thread, self._thread = self._thread, None
-        if thread is not None:
-            self.engine.wait_idle(2.0)
-            self._closing.set()
-            thread.join(5.0)
+        self._live.close(lambda: self.engine.wait_idle(2.0))
         self._recorder.close()
+        if self.connection is not None:
+            self.connection.close()
 
-    def _live(self) -> None:
-        try:
-            self._keep_pace()
-        except BaseException as error:
-            # Whatever it was: latch, stop, end the run, and let the exception hooks show it.
-            self.engine.abandon(error)
-            raise
-
-    def _keep_pace(self) -> None:
-        due_s = time.monotonic()
-        measured_s, steps = due_s, 0
-        while not self._closing.is_set():
-            self.engine.tick()
-            if not self.engine.busy:
-                self._recorder.close()
-            self.advance()
-            steps += 1
-            due_s += STEP_US * 1e-6 / self._speed
-            now_s = time.monotonic()
-            if now_s - measured_s >= 1.0:
-                self.pace = steps * STEP_US * 1e-6 / (now_s - measured_s)
-                measured_s, steps = now_s, 0
-            if now_s - due_s > BEHIND_S:
-                due_s = now_s
-            self._closing.wait(max(0.0, due_s - now_s))
+    def _live_step(self) -> None:
+        self.engine.tick()
+        if not self.engine.busy:
+            self._recorder.close()
+        self.advance()
 
     # -- inside -----------------------------------------------------------------------------------
+
+    def _refuse_busy(self) -> None:
+        if self.engine.busy:
+            raise RefusedError("BUSY", "A run is going on: cancel it first.")
+        if self.hand is not None and self.hand.active:
+            raise RefusedError("BY-HAND", "The bench is being moved by hand: let go first.")
 
     def _refuse_contact(self) -> None:
         """Refuse to move off sideways, or to tare and reference, while the piece presses."""
@@ -255,6 +275,8 @@ class Session:
             )
 
     def _plan(self, request: Request) -> Plan[None]:
+        if self.connection is not None:
+            refuse_on_devices(self.connection, request)
         run_id = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")[:-3]
         host = RunHost(
             run_id=run_id,
@@ -265,7 +287,7 @@ class Session:
             decisions=self.decisions,
             piece=self.catalogue.piece,
             method=self._settings,
-            check=self._check,
+            check=lambda c: {**self._check(c), "limits": asdict(self.interlock.limits)},
             open=lambda: self._recorder.open(run_id),
             set_scene=lambda choice, method: self._bench(self._set_scene(choice), method),
             present=self._present,
@@ -273,13 +295,12 @@ class Session:
         return plan_of(request, host)
 
     def _mode(self) -> str:
-        if not self.simulated:
-            return "lab"
-        return "stepped" if self._thread is None else "live simulation"
+        stepped = self.simulated and not self._live.running
+        return "stepped" if stepped else LIVE_MODES.get(self.facts.mode, "lab")
 
     def _wall_s(self) -> float:
         """Return the clock of whoever holds a button: the wall's while live, else the bench's."""
-        return self.clock_s() if self._thread is None else time.monotonic()
+        return time.monotonic() if self._live.running else self.clock_s()
 
     def _present(self, method: StackSettings) -> Bench:
         if self._scene is None:
@@ -318,14 +339,16 @@ class Session:
     def _set_scene(self, choice: SceneChoice) -> _Scene:
         """Build the scene, clear the streams, connect the devices, and let the sensors start."""
         self.interlock.forget_stoppers()
+        if self.connection is not None:
+            stop_with(self.connection, self.interlock)
         for finger in FINGERS:
             self.frames[finger].clear()
             self.fields[finger].clear()
-        raw = self._raw
+        raw = self.raw
         for samples in (raw.samples, raw.poses, raw.commands, self.wrench):
             samples.clear()
-        stage = self._make_stage(choice, self._raw)
-        sensing = LiveSensing(self._raw, self.fields, self.wrench, stage.payload)
+        stage = self._make_stage(choice, raw)
+        sensing = LiveSensing(raw, self.fields, self.wrench, stage.payload)
         cancel = threading.Event()
         for device in stage.devices.values():
             device.connect(5.0, cancel)

@@ -91,6 +91,8 @@ class ForceSensorSettings(Settings):
 class MelfaSettings(Settings):
     """Arm and controller."""
 
+    driver: Annotated[str, Field(min_length=1)] = "melfa"
+    """melfa, or one that an entry point adds."""
     host: str = "192.168.0.20"
     robot_type: str = "RV-5AS-D"
     """What the controller calls its arm, from the start; empty: any."""
@@ -270,6 +272,8 @@ class FingerCameraSettings(Settings):
 class GelsightSettings(Settings):
     """GelSight Mini."""
 
+    driver: Annotated[str, Field(min_length=1)] = "gelsight"
+    """gelsight, or one that an entry point adds."""
     left: FingerCameraSettings = FingerCameraSettings()
     right: FingerCameraSettings = FingerCameraSettings()
     by_id: str = "/dev/v4l/by-id"

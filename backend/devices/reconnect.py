@@ -17,14 +17,22 @@ def reconnect(device: Device, timeout_s: float, cancel: threading.Event) -> None
     before = device.identity
     device.close()
     device.connect(timeout_s, cancel)
+    require_serial(device, "" if before is None else before.serial)
+
+
+def require_serial(device: Device, serial: str) -> None:
+    """Close ``device`` and raise ``FaultError`` if another number than ``serial`` answers.
+
+    "" is any; a device that tells none is taken as it is.
+    """
     now = device.identity
-    if before is None or now is None or now.serial == before.serial:
+    if not serial or now is None or now.serial == serial:
         return
     device.close()
     raise FaultError(
         Fault(
             "OTHER-DEVICE",
-            f"Serial number {now.serial} answers instead of {before.serial}.",
+            f"Serial number {now.serial} answers instead of {serial}.",
             "The connection was closed again.",
             "Put the device back into its place, or start anew with the other one.",
             device.name,

@@ -8,10 +8,9 @@ from collections.abc import Callable, Mapping
 from backend.config.hardware import HardwareSettings
 from backend.core.flow import FINGERS, Finger, TactileFrame
 from backend.core.stream import SampleStream, Stream
-from backend.devices.cameras.driver import TactileCamera
+from backend.devices.cameras.making import make_tactile
 from backend.devices.force_torque.making import make_force_torque
-from backend.devices.melfa.arm import MelfaArm
-from backend.devices.melfa.sockets import SocketWires
+from backend.devices.melfa.making import make_arm
 from backend.devices.protocols import Device
 from backend.devices.wsg.driver import WsgGripper
 from backend.devices.wsg.making import make_gripper
@@ -37,11 +36,9 @@ class WiredDevices:
         self.force_torque = make_force_torque(settings, now_s, samples)
         self.gripper = make_gripper(settings, now_s)
         self.tactile = {
-            finger: TactileCamera(finger, settings.gelsight, now_s, frames[finger])
-            for finger in FINGERS
+            finger: make_tactile(finger, settings, now_s, frames[finger]) for finger in FINGERS
         }
-        wires = SocketWires(settings.melfa, now_s)
-        self.arm = MelfaArm(wires, samples, settings.melfa, now_s, poses)
+        self.arm = make_arm(settings, now_s, samples, poses)
 
     @property
     def devices(self) -> Mapping[str, Device]:

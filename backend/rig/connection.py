@@ -1,0 +1,259 @@
+"""Connects the devices of a bench in the order that is safe, one by one, and tells how far it is.
+
+Nothing moves: the arm is switched on last and stands. All orders return at once; one thread works.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+from backend.core.faults import Fault, FaultError, InputError, RefusedError, TouchdownError
+from backend.devices.protocols import Device, DeviceState, Identity
+from backend.devices.reconnect import require_serial
+from backend.devices.steps import STEPS, Stepwise
+from backend.devices.wsg.driver import WsgGripper
+
+CONNECT_S = 10.0
+JOIN_S = 15.0
+HOME_S = 20.0
+LineState = Literal["closed", "waiting", "connecting", "ready", "failed"]
+ARM_NEEDS = "force_torque"
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceLine:
+    """How one device stands: ``steps`` of ``STEPS`` are done; ``fault`` says why it failed.
+
+    ``needs``: what the operator has to do at a device that is connected ("" for nothing).
+    """
+
+    name: str
+    state: LineState
+    steps: int
+    identity: Identity | None = None
+    fault: Fault | None = None
+    needs: Literal["", "home", "acknowledge"] = ""
+
+
+class Connection:
+    """``devices`` by name, in the order in which they are connected: the arm last.
+
+    ``serials``: numbers that must answer, from the start. Later the first one that answered must
+    answer again. ``when_ready`` is called on the working thread, each time the last one is ready.
+    """
+
+    def __init__(
+        self,
+        devices: Mapping[str, Device],
+        serials: Mapping[str, str] | None = None,
+        when_ready: Callable[[], None] = lambda: None,
+        limit_s: float = CONNECT_S,
+    ) -> None:
+        self.devices = dict(devices)
+        self.when_ready = when_ready
+        self._limit_s = limit_s
+        self._known = {name: serial for name, serial in (serials or {}).items() if serial}
+        self._faults: dict[str, Fault] = {}
+        self._waiting: list[str] = []
+        self._present = ""
+        self._cancel = threading.Event()
+        self._lock = threading.Lock()
+        self._thread: threading.Thread | None = None
+        self.trouble: TouchdownError | None = None
+        """Why the bench cannot be used although all devices are ready."""
+
+    # -- how it stands, for any thread ------------------------------------------------------------
+
+    @property
+    def busy(self) -> bool:
+        """Whether a connection is being made, ended, or the gripper homed."""
+        return self._thread is not None and self._thread.is_alive()
+
+    @property
+    def ready(self) -> bool:
+        """Whether every device is ready."""
+        return all(device.state is DeviceState.READY for device in self.devices.values())
+
+    def lines(self) -> tuple[DeviceLine, ...]:
+        """Return how each device stands, in the order of connecting."""
+        return tuple(self._line(name, device) for name, device in self.devices.items())
+
+    def missing(self) -> tuple[str, ...]:
+        """Return the names of the devices that are not ready."""
+        return tuple(n for n, d in self.devices.items() if d.state is not DeviceState.READY)
+
+    # -- orders -----------------------------------------------------------------------------------
+
+    def begin(self, names: Sequence[str] = ()) -> None:
+        """Connect ``names`` (empty: all that are not ready); ``RefusedError`` while it works."""
+        wanted = [n for n in self.devices if (n in names if names else n in self.missing())]
+        self._start(lambda: self._connect(wanted), wanted)
+
+    def disconnect(self, names: Sequence[str] = ()) -> None:
+        """Close ``names`` (empty: all), the arm first; the gripper keeps its grip."""
+        wanted = [n for n in reversed(self.devices) if not names or n in names]
+        self._start(lambda: self._close(wanted), ())
+
+    def home(self) -> None:
+        """Home the gripper, with empty jaws and on the operator's word only: the jaws move."""
+        gripper = self._gripper()
+        if gripper.status().holding:
+            raise RefusedError("HOLDING", "A piece is held: homing would let it go.")
+        self._start(lambda: self._home(gripper), ())
+
+    def acknowledge(self) -> None:
+        """Take a fast stop of the gripper as seen, on the operator's word."""
+        gripper = self._gripper()
+        self._start(lambda: self._told("gripper", gripper.acknowledge), ())
+
+    def cancel(self) -> None:
+        """End connecting where it is; returns at once. What is connected stays so."""
+        self._cancel.set()
+
+    def wait(self, limit_s: float | None = None) -> bool:
+        """Wait until the present work is done, for scripts; False if it took longer."""
+        thread = self._thread
+        if thread is not None:
+            thread.join(limit_s)
+        return not self.busy
+
+    def watch(self, raise_fault: Callable[[Fault], None]) -> None:
+        """Tell the fault of each device that was lost."""
+        for device in self.devices.values():
+            fault = fault_of(device)
+            if fault is not None and device.state is DeviceState.FAULT:
+                raise_fault(fault)
+
+    def close(self) -> None:
+        """Cancel, then close all, the arm first."""
+        self.cancel()
+        self.wait(JOIN_S)
+        self._close(list(reversed(self.devices)))
+
+    # -- on the working thread --------------------------------------------------------------------
+
+    def _start(self, work: Callable[[], None], waiting: Sequence[str]) -> None:
+        with self._lock:
+            if self.busy:
+                raise RefusedError("CONNECTING", "Wait until the present step is done, or cancel.")
+            self._cancel.clear()
+            self._waiting = list(waiting)
+            self.trouble = None
+            self._thread = threading.Thread(target=work, name="connection", daemon=True)
+            self._thread.start()
+
+    def _connect(self, names: Sequence[str]) -> None:
+        try:
+            for name in names:
+                if self._cancel.is_set():
+                    break
+                self._present = name
+                self._waiting.remove(name)
+                self._told(name, partial(self._connect_one, name))
+        finally:
+            self._present, self._waiting = "", []
+        if self.ready and not self._cancel.is_set():
+            try:
+                self.when_ready()
+            except (InputError, FaultError, RefusedError) as error:
+                self.trouble = error
+
+    def _connect_one(self, name: str) -> None:
+        device = self.devices[name]
+        if name == "arm" and self._is_away(ARM_NEEDS):
+            raise FaultError(NO_WRIST)
+        device.close()
+        device.connect(self._limit_s, self._cancel)
+        require_serial(device, self._known.get(name, ""))
+        if device.identity is not None:
+            self._known[name] = device.identity.serial
+
+    def _close(self, names: Sequence[str]) -> None:
+        for name in names:
+            self._faults.pop(name, None)
+            self._told(name, self.devices[name].close)
+
+    def _home(self, gripper: WsgGripper) -> None:
+        def home() -> None:
+            motion, waited_s = gripper.home(), 0.0
+            while not motion.done and waited_s < HOME_S and not self._cancel.wait(0.02):
+                waited_s += 0.02
+            if not motion.done:
+                gripper.stop()
+                raise FaultError(NOT_HOMED)
+            motion.result()
+
+        self._told("gripper", home)
+
+    def _told(self, name: str, work: Callable[[], None]) -> None:
+        """Do ``work``; keep the fault it ends with, or forget the former one."""
+        try:
+            work()
+        except FaultError as error:
+            self._faults[name] = error.fault
+        except RefusedError as error:
+            self._faults[name] = Fault(error.reason, error.detail, "Nothing was moved.", "", name)
+        else:
+            self._faults.pop(name, None)
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _line(self, name: str, device: Device) -> DeviceLine:
+        done = device.steps.done if isinstance(device, Stepwise) else 0
+        state, fault = device.state, self._faults.get(name)
+        if name == self._present:
+            return DeviceLine(name, "connecting", done)
+        if state is DeviceState.READY:
+            needs = _needs(device)
+            return DeviceLine(name, "ready", len(STEPS), device.identity, fault, needs)
+        if name in self._waiting:
+            return DeviceLine(name, "waiting", 0)
+        if state is DeviceState.FAULT:
+            fault = fault_of(device) or fault
+            return DeviceLine(name, "failed", done, device.identity, fault, _needs(device))
+        word: LineState = "failed" if fault is not None else "closed"
+        return DeviceLine(name, word, done if fault is not None else 0, None, fault)
+
+    def _is_away(self, name: str) -> bool:
+        device = self.devices.get(name)
+        return device is not None and device.state is not DeviceState.READY
+
+    def _gripper(self) -> WsgGripper:
+        gripper = self.devices.get("gripper")
+        if not isinstance(gripper, WsgGripper):
+            raise RefusedError("NO-HOMING", "This gripper is not homed from here.")
+        return gripper
+
+
+def fault_of(device: Device) -> Fault | None:
+    """Return why a device is in FAULT, None if it does not say."""
+    fault = getattr(device, "fault", None)
+    return fault if isinstance(fault, Fault) else None
+
+
+def _needs(device: Device) -> Literal["", "home", "acknowledge"]:
+    if not isinstance(device, WsgGripper):
+        return ""
+    if device.fault is not None and device.fault.code != "WSG-LINK":
+        return "acknowledge"
+    return "" if device.homed else "home"
+
+
+NO_WRIST = Fault(
+    "NO-WRIST",
+    "The wrist sensor is not connected.",
+    "The arm was not switched on: it moves on what the wrist feels.",
+    "Connect the wrist sensor, then the arm.",
+    "arm",
+)
+NOT_HOMED = Fault(
+    "NOT-HOMED",
+    "The gripper did not find its origin.",
+    "The jaws stand still.",
+    "Look at the jaws, then home again.",
+    "gripper",
+)

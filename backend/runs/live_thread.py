@@ -1,0 +1,69 @@
+"""The thread that paces a live bench against the wall clock."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+BEHIND_S = 0.25
+"""A live bench that is later than this against the wall clock gives up catching up."""
+JOIN_S = 5.0
+
+
+class LiveThread:
+    """Calls ``step`` every ``step_s`` of bench time; ``failed`` hears what ended it early."""
+
+    def __init__(
+        self, step: Callable[[], None], step_s: float, failed: Callable[[BaseException], None]
+    ) -> None:
+        self._step, self._step_s, self._failed = step, step_s, failed
+        self._thread: threading.Thread | None = None
+        self._closing = threading.Event()
+        self._speed = 1.0
+        self.pace = 0.0
+        """Bench seconds per wall second, measured once a second."""
+
+    @property
+    def running(self) -> bool:
+        """Whether it was started and not closed."""
+        return self._thread is not None
+
+    def open(self, speed: float) -> None:
+        """Start; ``speed`` bench seconds per wall second. A second time changes nothing."""
+        if self._thread is None:
+            self._closing.clear()
+            self._speed = speed
+            self._thread = threading.Thread(target=self._live, name="bench", daemon=True)
+            self._thread.start()
+
+    def close(self, settle: Callable[[], object]) -> None:
+        """End; ``settle`` is called first, while time still passes."""
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            settle()
+            self._closing.set()
+            thread.join(JOIN_S)
+
+    def _live(self) -> None:
+        try:
+            self._keep_pace()
+        except BaseException as error:
+            # Whatever it was: latch, stop, end the run, and let the exception hooks show it.
+            self._failed(error)
+            raise
+
+    def _keep_pace(self) -> None:
+        due_s = time.monotonic()
+        measured_s, steps = due_s, 0
+        while not self._closing.is_set():
+            self._step()
+            steps += 1
+            due_s += self._step_s / self._speed
+            now_s = time.monotonic()
+            if now_s - measured_s >= 1.0:
+                self.pace = steps * self._step_s / (now_s - measured_s)
+                measured_s, steps = now_s, 0
+            if now_s - due_s > BEHIND_S:
+                due_s = now_s
+            self._closing.wait(max(0.0, due_s - now_s))

@@ -1,0 +1,53 @@
+"""Devices that outlive every scene: what a run must not ask of them, and what STOP must reach."""
+
+from __future__ import annotations
+
+from backend.core.facts import Fact, FaultRaised, FaultsReset
+from backend.core.faults import RefusedError
+from backend.core.hub import Hub
+from backend.devices.interlock import Interlock
+from backend.rig.connection import Connection
+from backend.runs.requests import Request, StackRequest
+
+
+def refuse_on_devices(connection: Connection, request: Request) -> None:
+    """Raise ``RefusedError`` for what only a simulation can do, or while a device is away."""
+    if isinstance(request, StackRequest) and request.trials > 1:
+        raise RefusedError(
+            "ONE-TRIAL", "On devices every trial is set up by hand: start one at a time."
+        )
+    if isinstance(request, StackRequest) and request.strategy == "pick-and-place":
+        raise RefusedError("SIMULATED-ONLY", "Letting go untested is for simulations only.")
+    if missing := connection.missing():
+        names = ", ".join(missing)
+        raise RefusedError("NOT-CONNECTED", f"Not connected: {names}. Connect first (Ctrl+L).")
+
+
+def stop_with(connection: Connection, interlock: Interlock) -> None:
+    """Let STOP end connecting, and reach arm and gripper before there is a scene."""
+    interlock.on_stop(connection.cancel)
+    for name in ("arm", "gripper"):
+        stop = getattr(connection.devices.get(name), "stop", None)
+        if stop is not None:
+            interlock.on_stop(stop)
+
+
+class FaultTeller:
+    """Announces faults that were latched while no run was there to do it; each once."""
+
+    def __init__(self, hub: Hub, interlock: Interlock) -> None:
+        self._hub, self._interlock = hub, interlock
+        self._told: set[tuple[str, str]] = set()
+        hub.subscribe(self._note)
+
+    def tell(self, now_s: float) -> None:
+        """Announce what is latched and was not announced since the last reset."""
+        for fault in self._interlock.faults:
+            if (fault.code, fault.device) not in self._told:
+                self._hub.publish(FaultRaised(now_s, fault))
+
+    def _note(self, fact: Fact) -> None:
+        if isinstance(fact, FaultRaised):
+            self._told.add((fact.fault.code, fact.fault.device))
+        elif isinstance(fact, FaultsReset):
+            self._told.clear()

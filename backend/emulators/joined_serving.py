@@ -20,6 +20,15 @@ from backend.simulation.scene import Scene
 
 SERIALS: Mapping[Finger, str] = {"left": "LEFT-0001", "right": "RGHT-0001"}
 BENCH_FILE = "bench.toml"
+LAB_HEAD = """\
+# Lab file of an emulated bench: it holds as long as the bench is served.
+version = 1
+name = "Rehearsal"
+kind = "emulated"
+piece = "{piece}"
+bottom = "{bottom}"
+
+"""
 POLL_HZ = 200.0
 """How often the cameras are asked for a new picture; they take them at the rate of the scene."""
 
@@ -47,6 +56,26 @@ def serve_bench(
     }
     (folder / BENCH_FILE).write_text(bench_toml(tables), "utf-8")
     return joined, Emulation((arm, gripper, sensor, *cameras), tables)
+
+
+def lab_toml(scene: Scene, emulation: Emulation) -> str:
+    """Return a lab file that leads to an emulated bench, with what a lab would have measured."""
+    wrist, tactile = scene.settings.wrist, scene.settings.tactile
+    bottoms = "+".join(body.name for body in scene.bottoms.bodies)
+    tables = {name: dict(table) for name, table in emulation.bench.items()}
+    tables["gelsight"] |= {
+        "mm_per_px_x": tactile.mm_per_px[0],
+        "mm_per_px_y": tactile.mm_per_px[0],
+    }
+    mounting = {
+        "sensor_height_mm": wrist.height_mm,
+        "sensor_yaw_rad": wrist.yaw_rad,
+        "payload_kg": wrist.payload_kg,
+        "payload_com_mm": list(wrist.payload_com_mm),
+    }
+    return LAB_HEAD.format(piece=scene.piece.name, bottom=bottoms) + bench_toml(
+        {"mounting": mounting, **tables}
+    )
 
 
 def _sensor(joined: JoinedScene, folder: Path, faults: Faults, host: str) -> Front:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import tempfile
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +20,7 @@ from backend.emulators.faults import FaultPlan, load_faults
 from backend.emulators.front import Front
 from backend.emulators.gelsight import SERIAL
 from backend.emulators.joined import JoinedScene
-from backend.emulators.joined_serving import serve_bench
+from backend.emulators.joined_serving import lab_toml, serve_bench
 from backend.emulators.loads import hanging, noisy
 from backend.emulators.serving import SUFFERS, Choice, Emulation, Wrench, bench_toml, emulate
 from backend.objects.catalogue import load_catalogue
@@ -61,6 +63,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--film", type=Path, metavar="FILE", help="video or picture that the camera sees"
     )
+    parser.add_argument(
+        "--lab-file",
+        type=Path,
+        metavar="FILE",
+        help="of a bench: write the lab file that leads to it; see 'touchdown app --bench'",
+    )
     parser.add_argument("--piece", default="pot", help="of a bench: the grasped piece")
     parser.add_argument("--bottom", default="short", help="of a bench: what it is put on")
     parser.add_argument("--preset", default="mixed", help="of a bench: nuisances")
@@ -74,7 +82,16 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     """Serve until Ctrl-C or the end of the time; then say what went over the wire."""
     if args.for_s is not None and not 0 < args.for_s < float("inf"):
         raise InputError("The time is not above zero.", "--for", "Give seconds.")
-    world, emulation = _bench(args) if args.kind == BENCH else (None, _device(args))
+    with ExitStack() as rest:
+        if args.kind == BENCH and args.folder is None and args.lab_file is not None:
+            args.folder = Path(rest.enter_context(tempfile.TemporaryDirectory(prefix="bench-")))
+        world, emulation = _bench(args) if args.kind == BENCH else (None, _device(args))
+        return _serve(args, screen, world, emulation)
+
+
+def _serve(
+    args: argparse.Namespace, screen: Screen, world: JoinedScene | None, emulation: Emulation
+) -> int:
     end = threading.Event()
     begun_s = time.monotonic()
     emulation.start()
@@ -82,7 +99,11 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         world.start()
     try:
         screen.say(f"The emulated {args.kind} answers at {emulation.fronts[0].url}.")
-        screen.say(f"In a bench file:\n\n{bench_toml(emulation.bench)}\n{USAGE} Ctrl-C ends it.")
+        if args.lab_file is None:
+            screen.say(f"In a bench file:\n\n{bench_toml(emulation.bench)}\n")
+        else:
+            screen.say(f"Open it with: touchdown app --bench {args.lab_file}")
+        screen.say(f"{USAGE} Ctrl-C ends it.")
         with ctrl_c_cancels(end.set):
             _watch(emulation, end, args.for_s, screen)
     finally:
@@ -116,7 +137,11 @@ def _device(args: argparse.Namespace) -> Emulation:
 def _bench(args: argparse.Namespace) -> tuple[JoinedScene, Emulation]:
     """Make a whole bench and write its bench file."""
     if args.folder is None:
-        raise InputError("An emulated bench needs a folder.", "--folder", "Name a folder.")
+        raise InputError(
+            "An emulated bench needs a folder or a lab file.",
+            "--folder",
+            "Name a folder, or write its lab file with --lab-file.",
+        )
     # Imported here: the other devices start without what a scene needs.
     from backend.assembly import SimulatedBenchChoice, make_scene
 
@@ -125,10 +150,12 @@ def _bench(args: argparse.Namespace) -> tuple[JoinedScene, Emulation]:
     scene = make_scene(load_catalogue(), choice, settings)
     try:
         world, emulation = serve_bench(scene, args.folder, _plan(args), args.host)
+        if args.lab_file is not None:
+            args.lab_file.write_text(lab_toml(scene, emulation), "utf-8")
     except OSError as error:
         raise InputError(
             f"The bench cannot be made: {error.strerror or error}.",
-            str(args.folder),
+            str(args.lab_file or args.folder),
             "Name another folder or --host.",
         ) from error
     return world, emulation

@@ -1,0 +1,131 @@
+"""A session on the devices of a lab file: the same window, runs and checks as on a simulated bench.
+
+Nothing is connected yet: ``session.connection`` does that, on the operator's word. The scene is set
+once all devices are ready.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from backend.assembly import Models
+from backend.config.lab import Lab, load_lab
+from backend.config.method import StackSettings
+from backend.core.clock import BenchClock
+from backend.core.faults import InputError
+from backend.devices.interlock import Limits
+from backend.learning.registry import Registry
+from backend.objects.catalogue import Catalogue, Piece, load_catalogue
+from backend.placement.estimator import Estimator
+from backend.rig.connection import Connection
+from backend.rig.wired import WiredDevices
+from backend.runs.bench import NoModel
+from backend.runs.requests import SceneChoice
+from backend.runs.stage import Stage
+from backend.sensing.live import RawStreams
+from backend.sensing.tare import gripper_payload
+from backend.session import Keep, Session
+
+
+@dataclass(frozen=True, slots=True)
+class LabChoice:
+    """Which lab, by its file; ``pieces``: folder with further piece files."""
+
+    file: Path
+    pieces: Path | None = None
+
+
+def lab_session(
+    choice: LabChoice,
+    *,
+    keep: Keep | None = None,
+    method: StackSettings | None = None,
+    registry: Registry | None = None,
+) -> Session:
+    """Return a session on the devices of ``choice``; raises ``InputError`` for a bad file.
+
+    A model that fits the first piece is loaded now: later that would disturb the arm's stream.
+    """
+    lab, catalogue = load_lab(choice.file), load_catalogue(choice.pieces)
+    method = method or StackSettings()
+    bench = _LabBench(lab, catalogue, method, registry)
+    session = Session(
+        bench.make_stage, bench.check, catalogue,
+        settings=method, keep=keep or Keep(), facts=lab.facts,
+    )  # fmt: skip
+    bench.wire(session)
+    return session
+
+
+class _LabBench:
+    """Makes the scenes of a lab: always of the same devices."""
+
+    def __init__(
+        self, lab: Lab, catalogue: Catalogue, method: StackSettings, registry: Registry | None
+    ) -> None:
+        self._lab, self._catalogue, self._clock = lab, catalogue, BenchClock()
+        self._models = Models(registry, lab.facts, method.belief.pitch_mm)
+        first = SceneChoice(lab.settings.piece, tuple(lab.settings.bottom.split("+")))
+        self._scene(first)
+        try:
+            self._models.of(first, catalogue.top(first.piece))
+        except InputError:
+            # Without a model the bench can be moved, probed and collected on.
+            first = SceneChoice(first.piece, first.bottoms, estimates=False)
+        self._first = first
+
+    def wire(self, session: Session) -> None:
+        """Make the drivers on the streams of ``session``."""
+        raw, settings = session.raw, self._lab.settings
+        self._wired = wired = WiredDevices(
+            settings, self._clock.now_s, raw.frames, raw.samples, raw.poses
+        )
+        serials = settings.serials.model_dump()
+        connection = Connection(wired.devices, serials)
+
+        def set_first() -> None:
+            # The scene of devices that were only connected again is still there.
+            if session.hand is None:
+                session.prepare(self._first)
+
+        connection.when_ready = set_first
+        limits = Limits(**settings.limits.model_dump())
+        session.join(connection, settings.name, limits)
+
+    def make_stage(self, choice: SceneChoice, raw: RawStreams) -> Stage:
+        """Return the devices as a scene: what stands on the bench is what the operator says."""
+        piece, settings, wired = self._scene(choice), self._lab.settings, self._wired
+        mounting = settings.mounting
+        return Stage(
+            clock=self._clock,
+            devices=wired.devices,
+            arm=wired.arm,
+            gripper=wired.gripper,
+            piece=piece,
+            bottom="+".join(choice.bottoms),
+            advance=self._clock.wait,
+            scoring=None,
+            estimator=self._models.of(choice, piece) or NoModel(),
+            payload=gripper_payload(mounting.payload_kg, mounting.payload_com_mm),
+            outline=self._catalogue.bottom(choice.bottoms[-1]).face,
+            wrench_late_s=1e-3 * settings.ft.latency_ms,
+        )
+
+    def check(self, choice: SceneChoice) -> Mapping[str, object]:
+        """Return what a run depends on here; raises ``InputError`` for a piece nobody knows."""
+        piece = self._scene(choice)
+        loaded: Estimator | None = self._models.check(choice, piece)
+        return {
+            "lab": self._lab.settings.model_dump(mode="json"),
+            "model": loaded
+            and {"piece": loaded.card.piece, "weights_sha256": loaded.card.weights_sha256},
+            "program": version("touchdown"),
+        }
+
+    def _scene(self, choice: SceneChoice) -> Piece:
+        for name in choice.bottoms:
+            self._catalogue.bottom(name)
+        return self._catalogue.top(choice.piece)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 from app.link import Link
+from backend.devices.jog_axes import signed_name, turns
 from backend.runs.requests import RunState, RunStatus
 from widgets.state_pill import Colour, PillState, Shape
 
@@ -48,8 +51,10 @@ def _by_hand(link: Link) -> str:
     state = link.hand.jog.state
     if state.order is None:
         return "one step"
-    sign = "+" if state.order.speed_mm_s > 0 else "\N{MINUS SIGN}"
-    return f"{sign}{state.order.axis.upper()} {state.order.frame}, {state.speed_mm_s:.0f} mm/s"
+    order, speed = state.order, f"{state.speed:.0f} mm/s"
+    if turns(order.axis):
+        speed = f"{math.degrees(state.speed):.0f}\N{DEGREE SIGN}/s"
+    return f"{signed_name(order.axis, order.speed)} {order.frame}, {speed}"
 
 
 def _with(note: str, status: RunStatus) -> str:

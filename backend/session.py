@@ -12,6 +12,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,11 +22,12 @@ from backend.catalogue.dataset import Dataset
 from backend.config.bench_facts import BenchFacts
 from backend.config.method import StackSettings
 from backend.core.facts import Decision, FaultsReset, Said
-from backend.core.faults import RefusedError
+from backend.core.faults import RefusedError, StaleSampleError
 from backend.core.flow import FINGERS, Finger, MarkerField, TactileFrame
 from backend.core.hub import Hub
 from backend.core.hush import Hush
 from backend.core.stream import SampleStream, Stream
+from backend.core.turning import refuse_turned, turn_of
 from backend.devices.guarded import GuardedArm, GuardedGripper
 from backend.devices.interlock import Interlock, Limits
 from backend.devices.jog import Around
@@ -163,6 +165,7 @@ class Session:
             raise RefusedError("RECOVERY", "After a fault: jog away from contact first.")
         if not isinstance(request, SetRequest):
             self._refuse_contact()
+            self._refuse_turned()
         self.engine.begin(self._plan(request))
 
     def run(self, request: Request) -> None:
@@ -274,6 +277,12 @@ class Session:
                 f"The piece presses with {pressing_n:.1f} N: lift before you start (jog +Z).",
             )
 
+    def _refuse_turned(self) -> None:
+        """Refuse to probe with a turned face: what it feels would mean something else."""
+        if self._scene is not None:
+            with suppress(StaleSampleError):
+                refuse_turned(turn_of(self._scene.arm.pose(max_age_s=1.0)))
+
     def _plan(self, request: Request) -> Plan[None]:
         if self.connection is not None:
             refuse_on_devices(self.connection, request)
@@ -357,11 +366,12 @@ class Session:
         def press_n() -> float:
             return sensing.press_n(now_s(), max_age_s=0.2)
 
-        arm = GuardedArm(stage.arm, self.interlock, now_s, press_n)
+        def surface_mm() -> float:
+            return _surface_mm(stage.piece)
+
+        arm = GuardedArm(stage.arm, self.interlock, now_s, press_n, surface_mm)
         gripper = GuardedGripper(stage.gripper, self.interlock, now_s)
-        around = Around(
-            now_s, self._wall_s, press_n, lambda: _surface_mm(stage.piece), lambda: self.engine.busy
-        )
+        around = Around(now_s, self._wall_s, press_n, surface_mm, lambda: self.engine.busy)
         hand = Hand(Reach(arm, gripper, sensing), self.interlock, around, self.hub.publish)
         self._scene = scene = _Scene(stage, sensing, arm, gripper, hand)
         self._supervision.begin(now_s())

@@ -13,7 +13,8 @@ from app.link import Link
 from app.operate.page import OperatePage
 from backend.core.faults import FaultError, RefusedError, StaleSampleError
 from backend.core.flow import Pose
-from backend.devices.jog import AXES, Axis, Frame, JogOrder, way_of
+from backend.devices.jog import JogOrder
+from backend.devices.jog_axes import AXES, Axis, Frame, way_of
 from backend.devices.jog_limits import room_mm
 from backend.devices.protocols import Arm, Device, Gripper, GripStatus
 from backend.runs.hand import Hand
@@ -168,7 +169,7 @@ class HandPresenter:
         contact = self._contact(hand)
         note = "Recovery: jog away from contact" if recovering else contact
         if slow and hand.jog.state.order is not None:
-            note = f"{hand.jog.state.speed_mm_s:.1f} mm/s: {slow}"
+            note = f"{hand.jog.state.speed:.1f} mm/s: {slow}"
         age_s = max(self._link.clock_s() - t_s, 0.0)
         return PoseLook((x, y, z), age_s, room, note, warn=recovering or bool(contact))
 

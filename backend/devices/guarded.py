@@ -106,9 +106,7 @@ class GuardedArm(_Guarded):
         """Measured pose of ``G``."""
         return self._arm.pose(max_age_s)
 
-    def move_to(
-        self, target: Pose, speed_mm_s: float, turn_rad_s: float = TURN_RAD_S
-    ) -> Motion:
+    def move_to(self, target: Pose, speed_mm_s: float, turn_rad_s: float = TURN_RAD_S) -> Motion:
         """Move straight to ``target``; refused outside the limits, and sideways while pressing.
 
         A hand that is turned, or is to be, stays high above the surface on the way.
@@ -278,7 +276,8 @@ class GuardedArm(_Guarded):
         most = self._interlock.limits.jog_mm_s
         if not gone_mm <= most * time_s + 1e-6:
             raise RefusedError(
-                "SPEED", f"The hand would move with {gone_mm / time_s:.0f} mm/s: slow the joint down."
+                "SPEED",
+                f"The hand would move with {gone_mm / time_s:.0f} mm/s: slow the joint down.",
             )
 
     def _refuse_dragging(self, target: Pose) -> None:

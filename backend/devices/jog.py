@@ -10,33 +10,38 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
 
-from backend.core.faults import FaultError, RefusedError, StaleSampleError
+import numpy as np
+
+from backend.core.faults import Fault, FaultError, RefusedError
 from backend.core.flow import Pose
+from backend.core.turning import turn_about, turn_of, vector_of
 from backend.devices.guarded import GuardedArm
 from backend.devices.interlock import LEASE_S, Interlock
-from backend.devices.jog_limits import Way, fastest_mm_s, refuse_forced, room_mm
-from backend.devices.protocols import Motion
+from backend.devices.jog_axes import (
+    JOINTS,
+    Axis,
+    Frame,
+    Room,
+    joint_speeds,
+    turns,
+)
+from backend.devices.jog_permit import POSE_AGE_S, REPEAT_S, Around, Permit, left_words
+from backend.devices.protocols import STILL, Motion
 
-Axis = Literal["x", "y", "z"]
-Frame = Literal["XYZ", "TOOL"]
-AXES: tuple[Axis, ...] = ("x", "y", "z")
+__all__ = ["STEPS_DEG", "STEPS_MM", "Around", "Jog", "JogOrder", "JogState"]
+
 STEPS_MM = (0.1, 0.5, 1.0, 5.0)
-REPEAT_S = 0.14
-"""The arm is told to move this long at a time, as a controller's own jog time-out does."""
-CREEP_MM_S = 0.2
-"""Slower than this at a limit is standing still."""
-TOOL_SIGNS: Way = (1.0, -1.0, -1.0)
-"""The tool's axes in the bench frame while the hand points down: z is the direction of approach."""
+STEPS_DEG = (0.5, 1.0, 5.0)
 
 
 @dataclass(frozen=True, slots=True)
 class JogOrder:
     """One renewal. ``hold``: number of the press; ``sequence`` counts up within it.
 
-    ``sent_s``: bench clock; ``speed_mm_s`` is signed along ``axis`` of ``frame``.
+    ``sent_s``: bench clock; ``speed`` is signed along or about ``axis`` of ``frame``: mm/s for
+    x, y, z and rad/s for everything that turns.
     """
 
     hold: int
@@ -44,32 +49,16 @@ class JogOrder:
     sent_s: float
     axis: Axis
     frame: Frame
-    speed_mm_s: float
+    speed: float
 
 
 @dataclass(frozen=True, slots=True)
 class JogState:
-    """What the jog does now. ``speed_mm_s`` after limits; ``slow``: why it is lower than asked."""
+    """What the jog does now. ``speed`` after limits; ``slow``: why it is lower than asked."""
 
     order: JogOrder | None = None
-    speed_mm_s: float = 0.0
+    speed: float = 0.0
     slow: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Around:
-    """What a jog must know of the bench; NaN is unknown.
-
-    ``press_n``: press force. ``surface_mm``: height of ``G`` at which a held piece touches the
-    support. ``busy``: whether a run has the bench. ``wall_s``: a lease also ends by this clock, as
-    a simulated bench may fall behind real time.
-    """
-
-    now_s: Callable[[], float]
-    wall_s: Callable[[], float]
-    press_n: Callable[[], float]
-    surface_mm: Callable[[], float]
-    busy: Callable[[], bool]
 
 
 class Jog:
@@ -87,7 +76,9 @@ class Jog:
         self._order: JogOrder | None = None
         self._taken_s = 0.0
         self._ended = 0
-        self._step: tuple[Motion, Way] | None = None
+        self._step: tuple[Motion, _Going] | None = None
+        self._held: Motion | None = None
+        self._permit = Permit(arm, interlock, around)
         self.state = JogState()
         interlock.on_stop(self._stopped)
 
@@ -95,6 +86,10 @@ class Jog:
     def active(self) -> bool:
         """Whether the arm moves by hand."""
         return self._order is not None or self._step is not None
+
+    def rooms(self, frame: Frame) -> dict[str, Room]:
+        """Return how far each way of a frame goes from here, by names such as "+x" and "-j4"."""
+        return self._permit.rooms(frame)
 
     # -- from any thread --------------------------------------------------------------------------
 
@@ -113,7 +108,7 @@ class Jog:
                 raise RefusedError("JOG-STALE", f"A jog renewal is {1e3 * age_s:.0f} ms old.")
         try:
             self._refuse_if_taken()
-            self._permitted(order)
+            self._permit.speed(order.axis, order.frame, order.speed)
         except RefusedError:
             self.end(order.hold)
             raise
@@ -127,25 +122,34 @@ class Jog:
             mine = self._order is not None and self._order.hold == hold
             self._ended = max(self._ended, hold)
             if mine:
-                self._order = None
+                self._order = self._held = None
         if mine:
             self._halt()
 
-    def step(self, axis: Axis, frame: Frame, distance_mm: float, speed_mm_s: float) -> None:
-        """Move once by a signed distance; raises ``RefusedError`` with the way that is left."""
-        self._refuse_if_taken()
-        if self.active:
-            raise RefusedError("JOG-BUSY", "The last step is still under way.")
-        way = way_of(axis, frame, distance_mm)
-        here = self._here()
-        speed = self._speed(way, abs(speed_mm_s), here)
-        left_mm = room_mm(here, way, self._interlock.limits)
-        if abs(distance_mm) > left_mm:
-            raise RefusedError("LIMIT", _left(axis, frame, distance_mm, left_mm))
-        x, y, z = (part * abs(distance_mm) for part in way)
-        target = Pose(here.x_mm + x, here.y_mm + y, here.z_mm + z)
+    def step(self, axis: Axis, frame: Frame, distance: float, speed: float) -> None:
+        """Move once by a signed distance; raises ``RefusedError`` with the way that is left.
+
+        mm and mm/s along an axis, rad and rad/s for what turns.
+        """
+        self._refuse_taken_or_moving()
+        permit = self._permit
+        permit.refuse(axis, frame, distance)
+        left = permit.left(axis, frame, distance)
+        if abs(distance) > left:
+            raise RefusedError("LIMIT", left_words(axis, frame, distance, left))
         self._interlock.renew_lease(self._around.now_s())
-        self._step = (self._arm.move_to(target, speed), way)
+        going = _Going(axis, frame, distance)
+        self._step = (self._stepped(going, abs(speed)), going)
+
+    def level(self, speed_rad_s: float) -> None:
+        """Turn the hand back to straight down, where it stands; raises ``RefusedError``."""
+        self._refuse_taken_or_moving()
+        here, going = self._permit.here(), _Going("rz", "XYZ", 1.0)
+        self._permit.refuse(going.axis, going.frame, going.signed)
+        self._interlock.renew_lease(self._around.now_s())
+        target = Pose(here.x_mm, here.y_mm, here.z_mm)
+        motion = self._arm.move_to(target, self._interlock.limits.jog_mm_s, speed_rad_s)
+        self._step = (motion, going)
 
     # -- on the bench's own time ------------------------------------------------------------------
 
@@ -162,10 +166,10 @@ class Jog:
             if max(around.now_s() - order.sent_s, around.wall_s() - taken_s) > LEASE_S:
                 raise RefusedError("JOG-LEASE", "The jog was not renewed in time: it ended.")
             self._refuse_if_taken()
-            speed, slow = self._permitted(order)
-            x, y, z = (part * speed for part in way_of(order.axis, order.frame, order.speed_mm_s))
+            self._refuse_failed()
+            speed, slow = self._permit.speed(order.axis, order.frame, order.speed)
             self._interlock.renew_lease(self._around.now_s())
-            self._arm.jog((x, y, z), REPEAT_S)
+            self._held = self._driven(order, speed)
             self.state = JogState(order, speed, slow)
         except (RefusedError, FaultError) as error:
             self.end(order.hold)
@@ -181,56 +185,64 @@ class Jog:
         with self._lock:
             if self._order is not None:
                 self._ended = max(self._ended, self._order.hold)
-            self._order = self._step = None
+            self._order = self._step = self._held = None
         self.state = JogState()
 
-    def _watch_step(self, motion: Motion, way: Way) -> None:
-        try:
-            refuse_forced(self._around.press_n(), way, self._interlock.limits, recovering=False)
-        except RefusedError as error:
-            if not motion.done:
-                self._halt()
-                self._tell(error)
+    def _driven(self, order: JogOrder, speed: float) -> Motion:
+        signed = speed if order.speed > 0 else -speed
+        if order.axis in JOINTS:
+            return self._arm.jog_joints(joint_speeds(order.axis, signed), REPEAT_S)
+        x, y, z = (part * speed for part in self._permit.way(order.axis, order.frame, order.speed))
+        if turns(order.axis):
+            return self._arm.jog(STILL, REPEAT_S, (x, y, z))
+        return self._arm.jog((x, y, z), REPEAT_S)
+
+    def _stepped(self, going: _Going, speed: float) -> Motion:
+        arm, here, size = self._arm, self._permit.here(), abs(going.signed)
+        if going.axis in JOINTS:
+            now = arm.joints_rad(max_age_s=POSE_AGE_S)
+            way = joint_speeds(going.axis, going.signed)
+            return arm.move_joints(tuple(a + b for a, b in zip(now, way, strict=True)), speed)
+        x, y, z = (part * size for part in self._permit.way(going.axis, going.frame, going.signed))
+        if turns(going.axis):
+            turn = turn_about(np.array([x, y, z])) @ turn_of(here)
+            rx, ry, rz = vector_of(turn).tolist()
+            target = replace(here, rx_rad=rx, ry_rad=ry, rz_rad=rz)
+            return arm.move_to(target, self._interlock.limits.jog_mm_s, speed)
+        target = replace(here, x_mm=here.x_mm + x, y_mm=here.y_mm + y, z_mm=here.z_mm + z)
+        # The arm applies the override itself; the zone near the surface holds whatever it is.
+        most = self._permit.line_zone()[0] / self._interlock.override
+        return arm.move_to(target, min(speed, most))
+
+    def _watch_step(self, motion: Motion, going: _Going) -> None:
         if motion.done:
             self._step = None
-
-    def _permitted(self, order: JogOrder) -> tuple[float, str]:
-        """Return (speed, why it is lower than asked); raises ``RefusedError``."""
-        way, here = way_of(order.axis, order.frame, order.speed_mm_s), self._here()
-        asked = abs(order.speed_mm_s)
-        if not 0.0 < asked <= self._interlock.limits.jog_mm_s:
-            raise RefusedError("SPEED", f"{asked:.1f} mm/s is no jog speed.")
-        speed, override = self._speed(way, asked, here), self._interlock.override
-        slow = "" if speed == asked else self._zone(here)[1] or f"override {100 * override:.0f} %"
-        left_mm = room_mm(here, way, self._interlock.limits)
-        if left_mm / REPEAT_S < speed:
-            speed, slow = left_mm / REPEAT_S, f"{left_mm:.1f} mm to the limit"
-        if not speed >= min(asked * override, CREEP_MM_S):
-            raise RefusedError("LIMIT", _left(order.axis, order.frame, order.speed_mm_s, left_mm))
-        return speed, slow
-
-    def _speed(self, way: Way, asked_mm_s: float, here: Pose) -> float:
-        interlock = self._interlock
-        refuse_forced(
-            self._around.press_n(), way, interlock.limits, recovering=interlock.recovering
-        )
-        return min(asked_mm_s * interlock.override, self._zone(here)[0])
-
-    def _zone(self, here: Pose) -> tuple[float, str]:
-        interlock, press_n = self._interlock, self._around.press_n()
-        return fastest_mm_s(
-            here,
-            self._around.surface_mm(),
-            press_n,
-            interlock.limits,
-            recovering=interlock.recovering,
-        )
-
-    def _here(self) -> Pose:
+            self._tell_failure(motion)
+            return
         try:
-            return self._arm.pose(max_age_s=0.2)
-        except StaleSampleError as error:
-            raise RefusedError("NO-POSE", "The position of the arm is not known.") from error
+            self._permit.refuse(going.axis, going.frame, going.signed)
+        except RefusedError as error:
+            self._halt()
+            self._step = None
+            self._tell(error)
+
+    def _refuse_failed(self) -> None:
+        """Raise the reason for which the arm ended the held motion by itself."""
+        motion, self._held = self._held, None
+        if motion is not None and motion.done:
+            fault = _failure(motion)
+            if fault is not None:
+                raise RefusedError(fault.code, f"{fault.what} {fault.next_step}")
+
+    def _tell_failure(self, motion: Motion) -> None:
+        fault = _failure(motion)
+        if fault is not None:
+            self._tell(RefusedError(fault.code, f"{fault.what} {fault.next_step}"))
+
+    def _refuse_taken_or_moving(self) -> None:
+        self._refuse_if_taken()
+        if self.active:
+            raise RefusedError("JOG-BUSY", "The last step is still under way.")
 
     def _refuse_if_taken(self) -> None:
         if self._around.busy():
@@ -246,16 +258,19 @@ class Jog:
         self.state = JogState()
 
 
-def way_of(axis: Axis, frame: Frame, signed: float) -> Way:
-    """Return the unit vector in the bench frame for a signed value along an axis of a frame."""
-    at = AXES.index(axis)
-    sign = 1.0 if signed > 0 else -1.0
-    if frame == "TOOL":
-        sign *= TOOL_SIGNS[at]
-    x, y, z = (sign if index == at else 0.0 for index in range(3))
-    return x, y, z
+@dataclass(frozen=True, slots=True)
+class _Going:
+    """Which way a step goes, and how far: mm, or rad for what turns."""
+
+    axis: Axis
+    frame: Frame
+    signed: float
 
 
-def _left(axis: Axis, frame: Frame, signed: float, left_mm: float) -> str:
-    sign = "+" if signed > 0 else "\N{MINUS SIGN}"
-    return f"{sign}{axis.upper()} ({frame}): {left_mm:.1f} mm left to the soft limit."
+def _failure(motion: Motion) -> Fault | None:
+    """Return why the arm ended a motion by itself; None if it ended well, or was told to end."""
+    try:
+        motion.result()
+    except FaultError as error:
+        return None if error.fault.code in ("STOPPED", "REPLACED") else error.fault
+    return None

@@ -6,6 +6,7 @@ suite holds them all. Plans and windows never hold an unguarded arm or gripper: 
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,6 +15,13 @@ from typing import Protocol
 
 from backend.core.flow import Finger, FloatArray, Pose, TactileFrame
 from backend.core.stream import SampleStream, Stream
+
+Vector = tuple[float, float, float]
+STILL: Vector = (0.0, 0.0, 0.0)
+Joints = tuple[float, ...]
+"""Angles of the joints, rad, from the base on."""
+TURN_RAD_S = math.radians(5.0)
+"""The hand turns so fast where nobody says otherwise."""
 
 
 class DeviceState(Enum):
@@ -190,19 +198,40 @@ class Arm(Device, Protocol):
     def pose(self, max_age_s: float) -> Pose:
         """Return the measured pose; raises ``StaleSampleError`` if older."""
 
-    def move_to(self, target: Pose, speed_mm_s: float) -> Motion:
-        """Move straight to ``target``."""
+    def move_to(self, target: Pose, speed_mm_s: float, turn_rad_s: float = TURN_RAD_S) -> Motion:
+        """Move straight to ``target``, turning evenly on the way; neither speed is exceeded.
+
+        Raises ``ValueError`` for a turn where the arm does not rotate.
+        """
 
     @property
     def rotates(self) -> bool:
         """Whether the hand can turn and single joints can be driven."""
 
-    def jog(self, velocity_mm_s: tuple[float, float, float], for_s: float) -> Motion:
-        """Move with this velocity for at most ``for_s``, then stand still by itself.
+    def jog(self, velocity_mm_s: Vector, for_s: float, turn_rad_s: Vector = STILL) -> Motion:
+        """Move ``G`` and turn about it, axes of the bench, for at most ``for_s``, then stand still.
 
         A further call in time goes on with its own velocity; the motion is the same one. So the
         arm stops even if whoever commands it has died.
         """
+
+    # The four below only where ``rotates``; elsewhere ``ValueError``.
+
+    def joints_rad(self, max_age_s: float) -> Joints:
+        """Return the measured joints; raises ``StaleSampleError`` if older."""
+
+    @property
+    def joint_limits_rad(self) -> tuple[tuple[float, float], ...]:
+        """Lowest and highest angle of each joint."""
+
+    def place_of(self, joints_rad: Joints) -> Pose:
+        """Return the pose that these joints give the hand. Moves nothing."""
+
+    def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> Motion:
+        """Turn the joints for at most ``for_s``, then stand still; renewed as ``jog`` is."""
+
+    def move_joints(self, target_rad: Joints, speed_rad_s: float) -> Motion:
+        """Turn all joints to ``target_rad``; none goes faster than ``speed_rad_s``."""
 
     def press(self, command: PressCommand) -> PressMotion:
         """Press compliantly from here straight down."""

@@ -16,6 +16,7 @@ from backend.config.hardware import MelfaSettings
 from backend.config.method import ProbeSettings
 from backend.core.faults import Fault
 from backend.core.flow import FINGERS, Finger, FloatArray, ImageArray
+from backend.core.turning import LEVEL_RAD, UNTURNED, vector_of
 from backend.emulators.faults import Faults
 from backend.emulators.melfa import EmulatedMelfa
 from backend.emulators.melfa_arm import frame_of, solve
@@ -70,6 +71,11 @@ class JoinedScene:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
+
+    @property
+    def turn(self) -> FloatArray:
+        """How the emulated arm has its hand turned now, (3, 3) in the bench."""
+        return self.frame.turn(self.melfa.controller.joints.true_rad.copy())
 
     @property
     def pivot_mm(self) -> FloatArray:
@@ -138,6 +144,12 @@ class BenchFrame:
         at_mm = frame[:3, 3] + self._tool_mm * frame[:3, 2]
         return np.asarray(self._turn.T @ (at_mm - self._origin_mm))
 
+    def turn(self, joints_rad: FloatArray) -> FloatArray:
+        """Return (3, 3) by how much the hand is turned; as good as unturned is unturned."""
+        hand = frame_of(joints_rad)[:3, :3]
+        turn = self._turn.T @ hand @ self._hand.T @ self._turn
+        return UNTURNED if np.linalg.norm(vector_of(turn)) <= LEVEL_RAD else turn
+
     def joints(self, pivot_mm: FloatArray) -> FloatArray:
         """Return (6,) joints that have ``G`` there, hand down; ``ValueError`` out of reach."""
         frame = np.eye(4)
@@ -157,6 +169,11 @@ class Carried:
 
     def __init__(self, joined: JoinedScene) -> None:
         self._joined = joined
+
+    @property
+    def turn(self) -> FloatArray:
+        """The hand is turned as that of the emulated arm."""
+        return self._joined.turn
 
     def next_mm(self, command_mm: FloatArray, cycle: Cycle) -> FloatArray:
         """Return where the arm is; a descent begins the next probe."""

@@ -16,6 +16,7 @@ import numpy as np
 from backend.core.faults import Fault
 from backend.core.flow import FloatArray
 from backend.core.onset import OnsetDetector, OnsetRule
+from backend.core.turning import UNTURNED
 
 ACCELERATION_MM_S2 = 500.0
 _HELD = "The arm stands still; the gripper was not opened."
@@ -45,6 +46,10 @@ class Program(Protocol):
     def failure(self) -> Fault | None:
         """Why it failed, None if it did not."""
 
+    @property
+    def turn(self) -> FloatArray | None:
+        """Turn (3, 3) of the hand after the last cycle; None: it stays as it is."""
+
     def next_mm(self, command_mm: FloatArray, cycle: Cycle) -> FloatArray:
         """Return the command (3,) at the end of ``cycle``."""
 
@@ -71,6 +76,7 @@ class Travel:
     """A straight move with a trapezoidal speed profile."""
 
     failure: Fault | None = None
+    turn: FloatArray | None = None
 
     def __init__(self, start_mm: FloatArray, target_mm: FloatArray, speed_mm_s: float) -> None:
         self._start_mm, self._target_mm = start_mm.copy(), target_mm.copy()
@@ -93,6 +99,7 @@ class Jog:
     """Follows a velocity until its time is up, then brakes. Renewed in place: it never jerks."""
 
     failure: Fault | None = None
+    turn: FloatArray | None = None
 
     def __init__(self) -> None:
         self._asked: tuple[FloatArray, float] = (np.zeros(3), -math.inf)
@@ -138,6 +145,7 @@ class Press:
     """
 
     failure: Fault | None = None
+    turn: FloatArray | None = None
 
     def __init__(self, law: PressLaw, start_z_mm: float, start_s: float) -> None:
         self._law, self._start_z_mm = law, start_z_mm
@@ -194,6 +202,7 @@ class Unload:
     LONGEST_MM = 10.0
 
     failure: Fault | None = None
+    turn: FloatArray | None = None
 
     def __init__(self, force_n: float, tare_n: float, speed_mm_s: float, start_z_mm: float) -> None:
         self._force_n, self._tare_n = force_n, tare_n
@@ -223,10 +232,12 @@ class Unload:
 
 
 class ArmDrive:
-    """Holds the commanded position of ``G`` and at most one program; ``drop`` from any thread."""
+    """Holds the commanded place of ``G`` and at most one program; ``drop`` from any thread."""
 
     def __init__(self, command_mm: FloatArray) -> None:
         self._command_mm = command_mm.copy()
+        self.turn: FloatArray = UNTURNED
+        """(3, 3) commanded turn of the hand."""
         self._program: Program | None = None
         self._lock = threading.Lock()
 
@@ -256,6 +267,8 @@ class ArmDrive:
             program = self._program
             if program is not None and not stalled:
                 self._command_mm = program.next_mm(self._command_mm, cycle)
+                if program.turn is not None:
+                    self.turn = program.turn
                 if program.done:
                     self._program = None
             return self._command_mm.copy()

@@ -59,12 +59,13 @@ class Holding:
         self.air = np.zeros(VALUES)
         self.air[12:] = self.gripping.grip_force_n
         self._values = self.air
-        self.weight_g = held_piece(
+        self.weight = held_piece(
             scene.piece.mass_g,
             (*scene.piece.com_xy_mm, scene.piece.com_height_mm),
             scene.grip_height_mm,
             self.gripping.grasp_offset_mm,
-        ).wrench_g()
+        )
+        self.weight_g = self.weight.wrench_g()
         """(6,) weight of the piece at ``G``, N and N·mm."""
         self.sensed = False
         """Whether the sensor errors of the probe apply: from its press until it is lifted off."""

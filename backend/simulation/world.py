@@ -14,8 +14,9 @@ import numpy as np
 
 from backend.config.method import ProbeSettings
 from backend.core.flow import FINGERS, Finger, FloatArray
+from backend.core.turning import UNTURNED
 from backend.simulation import scoring
-from backend.simulation.arm import ArmDrive, Cycle, Jog, Press, PressLaw, Travel, Unload
+from backend.simulation.arm import ArmDrive, Cycle, Press, PressLaw, Program, Travel, Unload
 from backend.simulation.disturbances import Script
 from backend.simulation.finger_camera import FingerCamera, Shot, Sight
 from backend.simulation.gel import build_gel
@@ -88,11 +89,9 @@ class World:
         self.drive.run(program)
         return program
 
-    def jog(self) -> Jog:
-        """Begin to follow velocities; nothing moves before the first one."""
-        program = Jog()
+    def follow(self, program: Program) -> None:
+        """Begin a jog, or a program that turns the hand."""
         self.drive.run(program)
-        return program
 
     def press(self, law: PressLaw, stiffness_n_mm: tuple[float, float, float]) -> Press:
         """Begin a press; a new probe starts and its nuisances are drawn."""
@@ -171,6 +170,12 @@ class World:
         """The gripping in progress, None while the jaws hold nothing."""
         return self._holding
 
+    def clear_mm(self, position_mm: FloatArray) -> float:
+        """Return how high a face, of the held piece or of one like it, is over first touch."""
+        holding = self._holding
+        touch = self.scene.grip_height_mm if holding is None else holding.touch_height_mm
+        return float(position_mm[2]) - touch
+
     # -- inside -----------------------------------------------------------------------------------
 
     def _placed(self) -> tuple[tuple[float, float], float]:
@@ -232,11 +237,19 @@ class World:
             self.knocked_over = True
 
     def _load(self, values: FloatArray) -> FloatArray:
-        """Return (6,) at ``G``: contact, gripper and piece, N and N·mm."""
+        """Return (6,) at ``G``, in the axes of the hand: contact, gripper and piece, N and N·mm."""
+        turn = self.drive.turn
+        if turn is not UNTURNED:
+            # In the air only: there is no contact to turn.
+            return values[:6] + self._weights_g(turn)
         load = values[:6] + self._wrist.payload_g
         if self._holding is not None:
             load = load + self._holding.weight_g
         return load
+
+    def _weights_g(self, turn: FloatArray) -> FloatArray:
+        weights = self._wrist.payload.wrench_g(turn)
+        return weights if self._holding is None else weights + self._holding.weight.wrench_g(turn)
 
     def _field(self, values: FloatArray) -> FloatArray:
         """Return (2, 63, 2) marker displacements in px, gain included."""

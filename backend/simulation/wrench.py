@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from backend.core.flow import FloatArray
+from backend.core.turning import UNTURNED
 
 GRAVITY_M_S2 = 9.80665
 
@@ -18,9 +19,9 @@ class Load:
     mass_kg: float
     position_mm: tuple[float, float, float]
 
-    def wrench_g(self) -> FloatArray:
-        """Return (6,) weight at ``G`` in N and N·mm."""
-        force = np.array([0.0, 0.0, -self.mass_kg * GRAVITY_M_S2])
+    def wrench_g(self, turn: FloatArray = UNTURNED) -> FloatArray:
+        """Return (6,) weight at ``G`` in N and N·mm, in the axes of a hand turned by (3, 3)."""
+        force = np.array([0.0, 0.0, -self.mass_kg * GRAVITY_M_S2]) @ turn
         return np.concatenate([force, np.cross(self.position_mm, force)])
 
 

@@ -33,7 +33,8 @@ class Wrist:
         per_minute = np.repeat([settings.drift_n_sqrt_min, settings.drift_nm_sqrt_min], 3)
         self._walk = per_minute * np.sqrt(cycle_us * 1e-6 / 60.0)
         self._drift = np.zeros(6)
-        self.payload_g = Load(settings.payload_kg, settings.payload_com_mm).wrench_g()
+        self.payload = Load(settings.payload_kg, settings.payload_com_mm)
+        self.payload_g = self.payload.wrench_g()
         """(6,) weight of the gripper at ``G``, N and N·mm."""
         self._share = np.arange(1, self._count + 1)[:, None] / self._count
 

@@ -7,6 +7,7 @@ Start-up, errors and STOP go over the command channel, every motion over the rea
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -17,7 +18,9 @@ from backend.config.hardware import MelfaSettings
 from backend.core.faults import Fault, FaultError
 from backend.core.flow import FloatArray, Pose
 from backend.core.stream import SampleStream
+from backend.core.turning import UNTURNED, refuse_turned, turn_of, vector_of
 from backend.devices.melfa.console import Console
+from backend.devices.melfa.guard import JOINT_RANGES
 from backend.devices.melfa.link_faults import NOTHING_MOVED, link_fault
 from backend.devices.melfa.motion import ARM, STOPPED, ArmPress
 from backend.devices.melfa.orders import Orders
@@ -26,17 +29,22 @@ from backend.devices.melfa.watch import Watch
 from backend.devices.melfa.wires import Wires
 from backend.devices.motion import CommandedMotion
 from backend.devices.protocols import (
+    STILL,
+    TURN_RAD_S,
     ArmStatus,
     DeviceState,
     Health,
     Identity,
+    Joints,
     PressCommand,
     RobotMode,
     SafetyMode,
+    Vector,
 )
 from backend.devices.steps import Steps
 from backend.wire.melfa_r3_answers import Run
 
+INF = math.inf
 RATE_WINDOW_S = 1.0
 WAIT_S = 0.02
 OPEN_S = 5.0
@@ -263,38 +271,81 @@ class MelfaArm:
         """Return the measured pose; raises ``StaleSampleError`` if it is older."""
         _, values = self._poses.latest(self._now_s(), max_age_s)
         x, y, z = values.tolist()
-        return Pose(x, y, z)
+        with self._lock:
+            turned, joints = self._core.turn is not UNTURNED, self._core.measured_rad
+        if not turned:
+            return Pose(x, y, z)
+        return Pose(x, y, z, *vector_of(self._orders.placing.turn(joints)).tolist())
 
     # -- motion -----------------------------------------------------------------------------------
 
-    @property
-    def rotates(self) -> bool:
-        """Never yet: the hand points straight down."""
-        return False
-
-    def move_to(self, target: Pose, speed_mm_s: float) -> CommandedMotion:
-        """Move straight to ``target``; raises ValueError for a rotation or a senseless number."""
-        if (target.rx_rad, target.ry_rad, target.rz_rad) != (0.0, 0.0, 0.0):
-            raise ValueError("the hand keeps its orientation")
-        goal = np.array([target.x_mm, target.y_mm, target.z_mm])
-        if not (np.isfinite(goal).all() and 0.0 < speed_mm_s < float("inf")):
+    def move_to(
+        self, target: Pose, speed_mm_s: float, turn_rad_s: float = TURN_RAD_S
+    ) -> CommandedMotion:
+        """Move straight to ``target``, turning on the way; ValueError for a senseless number."""
+        goal, turn = np.array([target.x_mm, target.y_mm, target.z_mm]), turn_of(target)
+        speeds = (speed_mm_s, turn_rad_s)
+        if not (np.isfinite([*goal, *turn.ravel()]).all() and all(0.0 < v < INF for v in speeds)):
             raise ValueError("target and speed must be finite, the speed positive")
         self._require_stream()
         with self._lock:
-            return self._orders.travel(self._core, goal, speed_mm_s)
+            return self._orders.travel(self._core, (goal, turn), speeds)
 
-    def jog(self, velocity_mm_s: tuple[float, float, float], for_s: float) -> CommandedMotion:
-        """Follow a velocity for ``for_s``; a renewal goes on without a jerk."""
-        velocity = np.array(velocity_mm_s)
-        if not (np.isfinite(velocity).all() and 0.0 < for_s < float("inf")):
+    def jog(
+        self, velocity_mm_s: Vector, for_s: float, turn_rad_s: Vector = STILL
+    ) -> CommandedMotion:
+        """Follow a velocity and a turn for ``for_s``; a renewal goes on without a jerk."""
+        velocity, turning = np.array(velocity_mm_s), np.array(turn_rad_s)
+        if not (np.isfinite([*velocity, *turning]).all() and 0.0 < for_s < INF):
             raise ValueError("velocity and time must be finite, the time positive")
         self._require_stream()
         with self._lock:
-            return self._orders.jog(self._core, velocity, self._now_s() + for_s)
+            return self._orders.jog(self._core, velocity, turning, self._now_s() + for_s)
+
+    @property
+    def rotates(self) -> bool:
+        """The hand turns, and joints can be driven one by one."""
+        return True
+
+    def joints_rad(self, max_age_s: float) -> Joints:
+        """Return the measured joints; raises ``StaleSampleError`` if they are older."""
+        self._poses.latest(self._now_s(), max_age_s)
+        with self._lock:
+            return tuple(self._core.measured_rad.tolist())
+
+    @property
+    def joint_limits_rad(self) -> tuple[tuple[float, float], ...]:
+        """Lowest and highest angle of each joint."""
+        return JOINT_RANGES
+
+    def place_of(self, joints_rad: Joints) -> Pose:
+        """Return the pose that these joints give the hand."""
+        joints, placing = np.array(joints_rad), self._orders.placing
+        x, y, z = placing.pivot_mm(joints).tolist()
+        return Pose(x, y, z, *vector_of(placing.turn(joints)).tolist())
+
+    def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> CommandedMotion:
+        """Turn the joints for ``for_s``; a renewal goes on without a jerk."""
+        speeds = np.array(speeds_rad_s)
+        if not (speeds.shape == (6,) and np.isfinite(speeds).all() and 0.0 < for_s < INF):
+            raise ValueError("six speeds and the time must be finite, the time positive")
+        self._require_stream()
+        with self._lock:
+            return self._orders.jog_joints(self._core, speeds, self._now_s() + for_s)
+
+    def move_joints(self, target_rad: Joints, speed_rad_s: float) -> CommandedMotion:
+        """Turn all joints to ``target_rad``; none goes faster than ``speed_rad_s``."""
+        target = np.array(target_rad)
+        if not (target.shape == (6,) and np.isfinite(target).all() and 0.0 < speed_rad_s < INF):
+            raise ValueError("six joints and the speed must be finite, the speed positive")
+        self._require_stream()
+        with self._lock:
+            return self._orders.travel_joints(self._core, target, speed_rad_s)
 
     def press(self, command: PressCommand) -> ArmPress:
-        """Press compliantly from here straight down."""
+        """Press compliantly from here straight down; refused while the hand is turned."""
         self._require_stream()
+        refuse_turned(self._core.turn)
         now_s = self._now_s()
         air = self._wrench.window(now_s - 1.0, now_s)
         finite = np.isfinite(air.values).all(axis=1)

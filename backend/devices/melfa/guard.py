@@ -16,6 +16,10 @@ from backend.devices.melfa.kinematics import LIMITS_RAD, STEPS_RAD
 
 RANGE_MARGIN_RAD = math.radians(2.0)
 """Our limits lie inside those of the controller by this much."""
+JOINT_RANGES: tuple[tuple[float, float], ...] = tuple(
+    (-limit, limit) for limit in (LIMITS_RAD - RANGE_MARGIN_RAD).tolist()
+)
+"""Lowest and highest angle of each joint, rad."""
 WRIST_RAD = math.radians(8.0)
 """J5 nearer to zero than this: J4 and J6 turn fast for small moves."""
 ELBOW_RAD = math.radians(8.0)

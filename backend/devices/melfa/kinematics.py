@@ -12,6 +12,7 @@ import numpy as np
 
 from backend.core.faults import RefusedError
 from backend.core.flow import FloatArray
+from backend.core.turning import UNTURNED
 from backend.wire.melfa_joints import FLANGE_MM, JOINTS
 
 SHOULDER_MM = JOINTS[1].rise_mm
@@ -102,11 +103,23 @@ class Placing:
         """Rotation (3, 3) of the flange in the base: z down."""
         return np.asarray(turn_z(self.yaw_rad + self.hand_rad) @ np.diag([1.0, -1.0, -1.0]))
 
-    def joints(self, pivot_mm: FloatArray, near_rad: FloatArray) -> FloatArray:
-        """Return the (6,) joints that put ``G`` at (3,) mm of the bench, hand down."""
-        at = np.array(self.origin_mm) + turn_z(self.yaw_rad) @ pivot_mm
-        hand = self.hand
+    def joints(
+        self, pivot_mm: FloatArray, near_rad: FloatArray, turn: FloatArray = UNTURNED
+    ) -> FloatArray:
+        """Return the (6,) joints that put ``G`` at (3,) mm of the bench, hand down.
+
+        ``turn`` (3, 3): by how much the hand is turned from there, in the bench frame.
+        """
+        bench = turn_z(self.yaw_rad)
+        at = np.array(self.origin_mm) + bench @ pivot_mm
+        hand = self.hand if turn is UNTURNED else bench @ turn @ bench.T @ self.hand
         return joints_for(at - self.tool_mm * hand[:, 2], hand, near_rad)
+
+    def turn(self, joints_rad: FloatArray) -> FloatArray:
+        """Return by how much the hand is turned, (3, 3) in the bench frame."""
+        bench = turn_z(self.yaw_rad)
+        _, hand = flange(joints_rad)
+        return np.asarray(bench.T @ hand @ self.hand.T @ bench)
 
     def pivot_mm(self, joints_rad: FloatArray) -> FloatArray:
         """Return where ``G`` is in the bench, (3,) mm."""
@@ -130,9 +143,3 @@ class Placing:
         """Return where ``G`` is in the bench for a flange place in the base."""
         at = position_mm + self.tool_mm * hand[:, 2]
         return np.asarray(turn_z(-self.yaw_rad) @ (at - np.array(self.origin_mm)))
-
-    def tilt_rad(self, joints_rad: FloatArray) -> float:
-        """Return how far the flange is turned away from where it should point."""
-        _, hand = flange(joints_rad)
-        cosine = (float(np.trace(self.hand.T @ hand)) - 1.0) / 2.0
-        return math.acos(min(max(cosine, -1.0), 1.0))

@@ -34,12 +34,12 @@ def lost_fault(cycles: int) -> Fault:
 
 
 def tilted_fault(degrees: float) -> Fault:
-    """Return the fault of a hand that does not point straight down."""
+    """Return the fault of a hand that leans too far to have been left so by this program."""
     return Fault(
         "TILTED",
-        f"The hand is turned {degrees:.1f}° away from straight down along the bench.",
+        f"The hand leans {degrees:.1f}° away from straight down.",
         NOTHING_MOVED,
-        "Move it there with the teaching box, or correct melfa.yaw_deg.",
+        "Point it down with the teaching box, then connect again.",
         ARM,
     )
 

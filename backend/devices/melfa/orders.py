@@ -7,6 +7,7 @@ import math
 from backend.config.hardware import MelfaSettings
 from backend.core.faults import Fault, FaultError, RefusedError
 from backend.core.flow import FloatArray
+from backend.core.turning import UNTURNED
 from backend.devices.melfa.admittance import Loop, fastest_approach_mm_s, law_for
 from backend.devices.melfa.compliance import TRIP_N, Compliance
 from backend.devices.melfa.kinematics import Placing
@@ -15,6 +16,7 @@ from backend.devices.melfa.motion import ARM, ArmPress
 from backend.devices.melfa.pressing import Press
 from backend.devices.melfa.programs import Follow, Travel, Unload
 from backend.devices.melfa.stream import StreamCore
+from backend.devices.melfa.turning import JointFollow, JointTravel, TurningFollow, TurningTravel
 from backend.devices.motion import CommandedMotion
 from backend.devices.protocols import PressCommand
 from backend.wire.melfa_joints import CYCLE_S
@@ -42,24 +44,64 @@ class Orders:
         program = core.program
         return program is not None and not program.motion.done
 
-    def travel(self, core: StreamCore, target_mm: FloatArray, speed_mm_s: float) -> CommandedMotion:
-        """Begin a straight move."""
+    def travel(
+        self,
+        core: StreamCore,
+        target: tuple[FloatArray, FloatArray],
+        speeds: tuple[float, float],
+    ) -> CommandedMotion:
+        """Begin a straight move to (3,) mm and (3, 3) turn, with mm/s and rad/s."""
+        target_mm, turn = target
         x, y, z = target_mm.tolist()
-        motion = CommandedMotion({"x_mm": x, "y_mm": y, "z_mm": z, "speed_mm_s": speed_mm_s})
+        motion = CommandedMotion({"x_mm": x, "y_mm": y, "z_mm": z, "speed_mm_s": speeds[0]})
         self._press = None
-        core.run(Travel(motion, target_mm, speed_mm_s))
+        if turn is UNTURNED and core.turn is UNTURNED:
+            core.run(Travel(motion, target_mm, speeds[0]))
+        else:
+            core.run(TurningTravel(motion, target, speeds))
         return motion
 
-    def jog(self, core: StreamCore, velocity_mm_s: FloatArray, until_s: float) -> CommandedMotion:
-        """Begin to follow a velocity, or go on with another."""
+    def jog(
+        self, core: StreamCore, velocity_mm_s: FloatArray, turn_rad_s: FloatArray, until_s: float
+    ) -> CommandedMotion:
+        """Begin to follow a velocity and a turn, or go on with others."""
         program = core.program
+        self._press = None
+        turning = core.turn is not UNTURNED or bool(turn_rad_s.any())
+        if turning:
+            if not isinstance(program, TurningFollow) or program.motion.done:
+                program = TurningFollow(_jogging(velocity_mm_s, turn_rad_s))
+                core.run(program)
+            program.renew(velocity_mm_s, turn_rad_s, until_s)
+            return program.motion
         if not isinstance(program, Follow) or program.motion.done:
-            x, y, z = velocity_mm_s.tolist()
-            program = Follow(CommandedMotion({"x_mm_s": x, "y_mm_s": y, "z_mm_s": z}))
-            self._press = None
+            program = Follow(_jogging(velocity_mm_s, turn_rad_s))
             core.run(program)
         program.renew(velocity_mm_s, until_s)
         return program.motion
+
+    def jog_joints(
+        self, core: StreamCore, speeds_rad_s: FloatArray, until_s: float
+    ) -> CommandedMotion:
+        """Begin to turn joints, or go on with other speeds."""
+        program = core.program
+        self._press = None
+        if not isinstance(program, JointFollow) or program.motion.done:
+            speeds = {f"j{k}_rad_s": v for k, v in enumerate(speeds_rad_s.tolist(), 1)}
+            program = JointFollow(CommandedMotion(speeds))
+            core.run(program)
+        program.renew(speeds_rad_s, until_s)
+        return program.motion
+
+    def travel_joints(
+        self, core: StreamCore, target_rad: FloatArray, speed_rad_s: float
+    ) -> CommandedMotion:
+        """Begin to turn all joints to their ends."""
+        ends = {f"j{k}_rad": v for k, v in enumerate(target_rad.tolist(), 1)}
+        motion = CommandedMotion({**ends, "speed_rad_s": speed_rad_s})
+        self._press = None
+        core.run(JointTravel(motion, target_rad, speed_rad_s))
+        return motion
 
     def press(
         self, core: StreamCore, command: PressCommand, before: tuple[FloatArray, FloatArray]
@@ -103,6 +145,12 @@ class Orders:
 
     def _contact(self) -> Compliance | None:
         return None if self._press is None else self._press.compliance
+
+
+def _jogging(velocity_mm_s: FloatArray, turn_rad_s: FloatArray) -> CommandedMotion:
+    names = ("x_mm_s", "y_mm_s", "z_mm_s", "rx_rad_s", "ry_rad_s", "rz_rad_s")
+    values = [*velocity_mm_s.tolist(), *turn_rad_s.tolist()]
+    return CommandedMotion(dict(zip(names, values, strict=True)))
 
 
 NOT_PRESSING = Fault(

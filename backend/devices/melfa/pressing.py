@@ -34,6 +34,7 @@ class Press:
 
     fragile = True
     speed_mm_s = SPEED_MM_S
+    turn: FloatArray | None = None
 
     def __init__(
         self,

@@ -7,18 +7,20 @@ never made up.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
 from backend.core.faults import Fault
 from backend.core.flow import FloatArray
+from backend.core.turning import UNTURNED
 from backend.devices.melfa.compliance import Compliance
 from backend.devices.melfa.motion import ARM, HELD
 from backend.devices.motion import CommandedMotion
 
 ACCELERATION_MM_S2 = 500.0
+AT_ZERO = np.zeros(6)
 UNLOAD_MM = 10.0
 ARRIVED_MM, ARRIVED_S = 0.02, 0.3
 """A move has ended when the arm is measured this near its end, or this long after its command."""
@@ -28,7 +30,8 @@ ARRIVED_MM, ARRIVED_S = 0.02, 0.3
 class Felt:
     """One cycle: bench time, cycle length, command and measured place (3,), new wrench samples.
 
-    ``t_s`` (n,), ``force_n`` (n, 3): environment on tool, untared.
+    ``t_s`` (n,), ``force_n`` (n, 3): environment on tool, untared. ``turn`` (3, 3): commanded turn
+    of the hand. ``sent_rad``, ``measured_rad`` (6,): joints as commanded and as measured.
     """
 
     now_s: float
@@ -37,6 +40,9 @@ class Felt:
     measured_mm: FloatArray
     t_s: FloatArray
     force_n: FloatArray
+    turn: FloatArray = field(default_factory=lambda: UNTURNED)
+    sent_rad: FloatArray = field(default_factory=lambda: AT_ZERO)
+    measured_rad: FloatArray = field(default_factory=lambda: AT_ZERO)
 
 
 class Program(Protocol):
@@ -54,6 +60,10 @@ class Program(Protocol):
     def fragile(self) -> bool:
         """Whether a hold in between makes it void."""
 
+    @property
+    def turn(self) -> FloatArray | None:
+        """Turn (3, 3) of the hand after the next cycle; None: it stays as it is."""
+
     def next_mm(self, felt: Felt) -> FloatArray:
         """Return the next command (3,)."""
 
@@ -66,16 +76,22 @@ class Program(Protocol):
 
 def eased_mm_s(speed_mm_s: float, most_mm_s: float, left_mm: float, cycle_s: float) -> float:
     """Return the speed of the next cycle: up by the acceleration, and down in time for the end."""
-    a_t = ACCELERATION_MM_S2 * cycle_s
+    faster = speed_mm_s + ACCELERATION_MM_S2 * cycle_s
+    return min(faster, most_mm_s, braked(ACCELERATION_MM_S2, left_mm, cycle_s))
+
+
+def braked(acceleration: float, left: float, cycle_s: float) -> float:
+    """Return the highest speed from which whole cycles of braking end within ``left``."""
+    a_t = acceleration * cycle_s
     # Whole cycles of braking from v cover v (v + a T) / 2 a: solved for v.
-    braking = 0.5 * a_t * (math.sqrt(1.0 + 8.0 * left_mm / (a_t * cycle_s)) - 1.0)
-    return min(speed_mm_s + a_t, most_mm_s, braking)
+    return 0.5 * a_t * (math.sqrt(1.0 + 8.0 * left / (a_t * cycle_s)) - 1.0)
 
 
 class Travel:
     """Straight to a place."""
 
     fragile = False
+    turn: FloatArray | None = None
 
     def __init__(self, motion: CommandedMotion, target_mm: FloatArray, speed_mm_s: float) -> None:
         self.motion, self.speed_mm_s = motion, speed_mm_s
@@ -113,6 +129,7 @@ class Follow:
     """Follows a velocity until its time is up, then brakes. Renewed in place: it never jerks."""
 
     fragile = False
+    turn: FloatArray | None = None
 
     def __init__(self, motion: CommandedMotion, velocity_mm_s: FloatArray | None = None) -> None:
         """``velocity_mm_s``: what it begins with; it brakes unless renewed."""
@@ -152,6 +169,7 @@ class Unload:
     """Rises in contact until the press force has fallen to ``force_n``, then stands stiffly."""
 
     fragile = False
+    turn: FloatArray | None = None
 
     def __init__(
         self, motion: CommandedMotion, compliance: Compliance, force_n: float, speed_mm_s: float

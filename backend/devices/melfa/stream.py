@@ -16,13 +16,15 @@ import numpy as np
 from backend.config.hardware import MelfaSettings
 from backend.core.faults import Fault, RefusedError
 from backend.core.flow import FloatArray
+from backend.core.turning import LEVEL_RAD, UNTURNED, tilt_rad, vector_of
 from backend.devices.melfa.guard import check_joints, check_step
-from backend.devices.melfa.kinematics import Placing
+from backend.devices.melfa.kinematics import STEPS_RAD, Placing
 from backend.devices.melfa.ladder import Rung, rung
 from backend.devices.melfa.link_faults import START, lost_fault, tilted_fault
 from backend.devices.melfa.motion import REPLACED, STOPPED, VOID, refused_fault
 from backend.devices.melfa.programs import Felt, Follow, Program
 from backend.devices.melfa.replies import MONITORS, Echo, Replies
+from backend.devices.melfa.turning import JointFollow, JointProgram, JointTravel, TurningFollow
 from backend.devices.motion import CommandedMotion
 from backend.wire.melfa_blocks import Kind, Values
 from backend.wire.melfa_joints import CYCLE_S
@@ -32,7 +34,9 @@ HELD_CYCLES = 10
 END_PACKETS = 3
 LEAD_CYCLES = 3
 LEAST_LEAD_MM_S = 20.0
-TILT_RAD = math.radians(0.2)
+TILT_RAD = math.radians(20.0)
+"""A hand that leans more at the start is not moved: that is no place this program left it in."""
+LEAST_LEAD_RAD_S = math.radians(5.0)
 END = encode_request(Request(Command.END))
 NO_TIME, NO_FORCE = np.empty(0), np.empty((0, 3))
 
@@ -76,7 +80,7 @@ class StreamCore:
         """How often the ladder has held the arm since the stream began."""
         self.sent_rad = np.zeros(6)
         """(6,) joints of the last command."""
-        self.program: Program | None = None
+        self.program: Program | JointProgram | None = None
         self._restart(0.0)
 
     def _restart(self, now_s: float) -> None:
@@ -88,8 +92,18 @@ class StreamCore:
         self._echo_mm = self._measured_mm = np.zeros(3)
         self.command_mm = np.zeros(3)
         """(3,) commanded place of ``G`` in the bench."""
-        self.velocity_mm_s = np.zeros(3)
+        self.turn: FloatArray = UNTURNED
+        """(3, 3) commanded turn of the hand."""
+        self.measured_rad = np.zeros(6)
+        """(6,) joints as last measured."""
+        self._echo_rad = np.zeros(6)
+        self._rest()
         self._holding = False
+
+    def _rest(self) -> None:
+        """Take note that the command stands still."""
+        self.velocity_mm_s, self._turning_rad_s = np.zeros(3), np.zeros(3)
+        self._joints_rad_s = np.zeros(6)
 
     # -- orders -----------------------------------------------------------------------------------
 
@@ -98,7 +112,7 @@ class StreamCore:
         self._restart(now_s)
         self.phase = Phase.OPENING
 
-    def run(self, program: Program) -> None:
+    def run(self, program: Program | JointProgram) -> None:
         """Take ``program`` in place of any other from the next cycle on."""
         if self.program is not None and self.program is not program:
             self.program.motion.end(REPLACED)
@@ -108,7 +122,14 @@ class StreamCore:
         """Brake and stand still; the stream goes on."""
         if self.program is not None:
             self.program.motion.end(STOPPED)
-            self.program = Follow(CommandedMotion({}), self.velocity_mm_s)
+            self.program = self._braking(CommandedMotion({}))
+
+    def _braking(self, motion: CommandedMotion) -> Program | JointProgram:
+        if isinstance(self.program, JointTravel | JointFollow):
+            return JointFollow(motion, self._joints_rad_s)
+        if self.turn is UNTURNED:
+            return Follow(motion, self.velocity_mm_s)
+        return TurningFollow(motion, (self.velocity_mm_s, self._turning_rad_s))
 
     def stop(self, fault: Fault = STOPPED) -> None:
         """End the stream at once: nothing but end packets goes out from here."""
@@ -147,7 +168,7 @@ class StreamCore:
             if refused is not None:
                 return self._fail(refused)
         elif level is not Rung.GO:
-            self.velocity_mm_s = np.zeros(3)
+            self._rest()
         self._settle()
         return Outbox(self._packet(), None if echo is None else self._measured_mm)
 
@@ -165,11 +186,12 @@ class StreamCore:
             self._counter += 1
             null = Request(Command.NONE, monitors=MONITORS, counter=self._counter)
             return Outbox(encode_request(null))
-        tilt_rad = self._placing.tilt_rad(echo.command_rad)
-        if not tilt_rad <= TILT_RAD:
-            return self._fail(tilted_fault(math.degrees(tilt_rad)))
+        turn = self._placing.turn(echo.command_rad)
+        if not tilt_rad(turn) <= TILT_RAD:
+            return self._fail(tilted_fault(math.degrees(tilt_rad(turn))))
         # The first command is the position that the controller itself has replied.
         self.sent_rad = echo.command_rad
+        self.turn = UNTURNED if np.linalg.norm(vector_of(turn)) <= LEVEL_RAD else turn
         self.command_mm = self._placing.pivot_mm(self.sent_rad)
         self._hear(now_s, echo)
         self.phase, self._left = Phase.HOLDING, HELD_CYCLES
@@ -177,6 +199,7 @@ class StreamCore:
 
     def _hear(self, now_s: float, echo: Echo) -> None:
         self._heard_s, self.timeouts = now_s, echo.timeouts
+        self._echo_rad, self.measured_rad = echo.command_rad, echo.feedback_rad
         self._echo_mm = self._placing.pivot_mm(echo.command_rad)
         self._measured_mm = self._placing.pivot_mm(echo.feedback_rad)
 
@@ -201,25 +224,66 @@ class StreamCore:
         """Advance the program by one cycle; return a fault that ends the stream."""
         program = self.program
         if program is None:
-            self.velocity_mm_s = np.zeros(3)
+            self._rest()
             return None
-        before_mm = self.command_mm
+        felt = Felt(
+            now_s, CYCLE_S, self.command_mm, self._measured_mm, inbox.t_s, inbox.force_n,
+            self.turn, self.sent_rad, self.measured_rad,
+        )  # fmt: skip
         try:
-            felt = Felt(now_s, CYCLE_S, before_mm, self._measured_mm, inbox.t_s, inbox.force_n)
-            wanted_mm = program.next_mm(felt)
-            command_mm = self._within_lead(wanted_mm, program.speed_mm_s)
-            if command_mm is not wanted_mm:
-                program.cut(command_mm)
-            joints = self._placing.joints(command_mm, self.sent_rad)
+            if isinstance(program, JointTravel | JointFollow):
+                command_mm, turn, joints = self._next_joints(program, felt)
+            else:
+                command_mm, turn, joints = self._next_place(program, felt)
             check_joints(joints)
             check_step(self.sent_rad, joints, self._settings.mxt.step_fraction)
         except RefusedError as error:
             program.motion.end(refused_fault(error))
-            self.program, self.velocity_mm_s = None, np.zeros(3)
+            self.program = None
+            self._rest()
             return None
-        self.velocity_mm_s = (command_mm - before_mm) / CYCLE_S
-        self.command_mm, self.sent_rad = command_mm, joints
+        if turn is not self.turn:
+            self._turning_rad_s = vector_of(turn @ self.turn.T) / CYCLE_S
+        self.velocity_mm_s = (command_mm - felt.command_mm) / CYCLE_S
+        self._joints_rad_s = (joints - self.sent_rad) / CYCLE_S
+        self.command_mm, self.turn, self.sent_rad = command_mm, turn, joints
         return None
+
+    def _next_place(
+        self, program: Program, felt: Felt
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return place, turn and joints of the next command of a program that moves the hand."""
+        wanted_mm = program.next_mm(felt)
+        command_mm = self._within_lead(wanted_mm, program.speed_mm_s)
+        turn = self.turn if program.turn is None else program.turn
+        if command_mm is not wanted_mm:
+            program.cut(command_mm)
+            turn = self.turn
+        joints = self._placing.joints(command_mm, self.sent_rad, turn)
+        if turn is not self.turn and self._ahead_rad(joints) > self._lead_rad(program):
+            # It stands, turn and all, until the replies have caught up.
+            program.still()
+            return self.command_mm, self.turn, self.sent_rad
+        return command_mm, turn, joints
+
+    def _next_joints(
+        self, program: JointProgram, felt: Felt
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return place, turn and joints of the next command of a program that drives joints."""
+        joints = program.next_rad(felt)
+        if self._ahead_rad(joints) > self._lead_rad(program):
+            program.still()
+            joints = self.sent_rad
+        return self._placing.pivot_mm(joints), self._placing.turn(joints), joints
+
+    def _ahead_rad(self, joints_rad: FloatArray) -> float:
+        return float(np.abs(joints_rad - self._echo_rad).max())
+
+    def _lead_rad(self, program: Program | JointProgram) -> float:
+        """Return how far a joint may run ahead: three cycles; a turn may swing joints faster."""
+        if isinstance(program, JointTravel | JointFollow):
+            return LEAD_CYCLES * CYCLE_S * max(program.speed_rad_s, LEAST_LEAD_RAD_S)
+        return LEAD_CYCLES * float((STEPS_RAD * self._settings.mxt.step_fraction).max())
 
     def _within_lead(self, wanted_mm: FloatArray, speed_mm_s: float) -> FloatArray:
         lead_mm = LEAD_CYCLES * CYCLE_S * max(speed_mm_s, LEAST_LEAD_MM_S)

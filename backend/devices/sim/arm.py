@@ -2,24 +2,46 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Mapping
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
+from backend.core.faults import Fault
 from backend.core.flow import FloatArray, Pose
 from backend.core.stream import SampleStream
+from backend.core.turning import UNTURNED, refuse_turned, turn_of, vector_of
+from backend.devices.melfa.guard import JOINT_RANGES
 from backend.devices.motion import CommandedMotion, replaced_fault, stopped_fault
 from backend.devices.protocols import (
+    STILL,
+    TURN_RAD_S,
     ArmStatus,
+    Joints,
     PressCommand,
     RobotMode,
     SafetyMode,
+    Vector,
 )
 from backend.devices.sim.connection import Connection, SimDevice
+from backend.devices.sim.joints import SimJoints
 from backend.devices.sim.motion import SimPressMotion
 from backend.simulation.arm import Jog, PressLaw, Program
+from backend.simulation.turning import (
+    Driving,
+    JointJog,
+    JointTravel,
+    Place,
+    TurningJog,
+    TurningTravel,
+)
 from backend.simulation.world import World
+
+INF = math.inf
+_P = TypeVar("_P", bound=Program)
 
 
 class SimArm(SimDevice):
@@ -35,6 +57,8 @@ class SimArm(SimDevice):
         self._world, self._poses, self._now_s = world, poses, now_s
         self._commands = commands
         super().__init__(Connection("arm", "simulated arm", now_s))
+        self._joints = SimJoints(world)
+        self._driving = Driving(self._joints.place, self._joints.allowed)
         self._lock = threading.Lock()
         self._motion: CommandedMotion | None = None
         self._program: Program | None = None
@@ -64,51 +88,105 @@ class SimArm(SimDevice):
     def pose(self, max_age_s: float) -> Pose:
         """Return the measured pose; raises ``StaleSampleError`` if it is older."""
         _, values = self._poses.latest(self._now_s(), max_age_s)
-        x, y, z = values.tolist()
-        return Pose(x, y, z)
+        return _pose(values, self._world.drive.turn)
 
-    def move_to(self, target: Pose, speed_mm_s: float) -> CommandedMotion:
-        """Move straight to ``target``; raises ValueError for a rotation or a senseless number."""
+    # -- moves ------------------------------------------------------------------------------------
+
+    def move_to(
+        self, target: Pose, speed_mm_s: float, turn_rad_s: float = TURN_RAD_S
+    ) -> CommandedMotion:
+        """Move straight to ``target``, turning on the way; ValueError for a senseless number."""
         self._connection.require_ready()
-        if (target.rx_rad, target.ry_rad, target.rz_rad) != (0.0, 0.0, 0.0):
-            raise ValueError("the simulated arm keeps its orientation")
-        goal = np.array([target.x_mm, target.y_mm, target.z_mm])
-        if not (np.isfinite(goal).all() and 0.0 < speed_mm_s < float("inf")):
+        goal, turn = np.array([target.x_mm, target.y_mm, target.z_mm]), turn_of(target)
+        speeds = (speed_mm_s, turn_rad_s)
+        if not (np.isfinite([*goal, *turn.ravel()]).all() and all(0.0 < v < INF for v in speeds)):
             raise ValueError("target and speed must be finite, the speed positive")
-        sent = {
-            "x_mm": target.x_mm,
-            "y_mm": target.y_mm,
-            "z_mm": target.z_mm,
-            "speed_mm_s": speed_mm_s,
-        }
+        sent = {"x_mm": target.x_mm, "y_mm": target.y_mm, "z_mm": target.z_mm,
+                "speed_mm_s": speed_mm_s}  # fmt: skip
         with self._lock:
-            return self._take(CommandedMotion(sent), self._world.travel(goal, speed_mm_s))
+            drive = self._world.drive
+            if turn is UNTURNED and drive.turn is UNTURNED:
+                return self._take(CommandedMotion(sent), self._world.travel(goal, speed_mm_s))
+            sent |= {"rx_rad": target.rx_rad, "ry_rad": target.ry_rad, "rz_rad": target.rz_rad,
+                     "turn_rad_s": turn_rad_s}  # fmt: skip
+            end = (goal, turn)
+            program = TurningTravel(self._place(), end, speeds, self._joints.allowed)
+            return self._begin(sent, program, self._joints.allowed(end))
+
+    def jog(
+        self, velocity_mm_s: Vector, for_s: float, turn_rad_s: Vector = STILL
+    ) -> CommandedMotion:
+        """Follow a velocity and a turn for ``for_s``; a renewal goes on without a jerk."""
+        self._connection.require_ready()
+        velocity, turning = np.array(velocity_mm_s), np.array(turn_rad_s)
+        if not (np.isfinite([*velocity, *turning]).all() and 0.0 < for_s < INF):
+            raise ValueError("velocity and time must be finite, the time positive")
+        until_s = self._now_s() + for_s
+        sent = dict(zip(("x_mm_s", "y_mm_s", "z_mm_s"), velocity_mm_s, strict=True))
+        with self._lock:
+            if turning.any() or self._world.drive.turn is not UNTURNED:
+                sent |= dict(zip(("rx_rad_s", "ry_rad_s", "rz_rad_s"), turn_rad_s, strict=True))
+                make = partial(TurningJog, self._place(), self._joints.allowed)
+                turned, motion = self._going_on(TurningJog, make, sent)
+                turned.renew(velocity, turning, until_s)
+                return motion
+            program, motion = self._going_on(Jog, Jog, sent)
+            program.renew(velocity, until_s)
+            return motion
+
+    # -- joints -----------------------------------------------------------------------------------
 
     @property
     def rotates(self) -> bool:
-        """Never: the simulated hand keeps its orientation."""
-        return False
+        """The hand turns in free air."""
+        return True
 
-    def jog(self, velocity_mm_s: tuple[float, float, float], for_s: float) -> CommandedMotion:
-        """Follow a velocity for ``for_s``; a renewal goes on without a jerk."""
+    def joints_rad(self, max_age_s: float) -> Joints:
+        """Return the joints; raises ``StaleSampleError`` if the position is older."""
+        _, values = self._poses.latest(self._now_s(), max_age_s)
+        return tuple(self._joints.of((values, self._world.drive.turn)).tolist())
+
+    @property
+    def joint_limits_rad(self) -> tuple[tuple[float, float], ...]:
+        """Lowest and highest angle of each joint."""
+        return JOINT_RANGES
+
+    def place_of(self, joints_rad: Joints) -> Pose:
+        """Return the pose that these joints give the hand."""
+        return _pose(*self._joints.place(np.array(joints_rad)))
+
+    def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> CommandedMotion:
+        """Turn the joints for ``for_s``; a renewal goes on without a jerk."""
         self._connection.require_ready()
-        velocity = np.array(velocity_mm_s)
-        if not (np.isfinite(velocity).all() and 0.0 < for_s < float("inf")):
-            raise ValueError("velocity and time must be finite, the time positive")
+        speeds = np.array(speeds_rad_s)
+        if not (speeds.shape == (6,) and np.isfinite(speeds).all() and 0.0 < for_s < INF):
+            raise ValueError("six speeds and the time must be finite, the time positive")
+        sent = {f"j{k}_rad_s": speed for k, speed in enumerate(speeds_rad_s, 1)}
         with self._lock:
-            program, motion = self._program, self._motion
-            if not isinstance(program, Jog) or program.done or motion is None:
-                x, y, z = velocity_mm_s
-                program = self._world.jog()
-                motion = self._take(
-                    CommandedMotion({"x_mm_s": x, "y_mm_s": y, "z_mm_s": z}), program
-                )
-            program.renew(velocity, self._now_s() + for_s)
+            make = partial(JointJog, self._joints.of(self._place()), self._driving)
+            program, motion = self._going_on(JointJog, make, sent)
+            program.renew(speeds, self._now_s() + for_s)
             return motion
 
-    def press(self, command: PressCommand) -> SimPressMotion:
-        """Press compliantly from here straight down."""
+    def move_joints(self, target_rad: Joints, speed_rad_s: float) -> CommandedMotion:
+        """Turn all joints to ``target_rad``; none goes faster than ``speed_rad_s``."""
         self._connection.require_ready()
+        target = np.array(target_rad)
+        if not (target.shape == (6,) and np.isfinite(target).all() and 0.0 < speed_rad_s < INF):
+            raise ValueError("six joints and the speed must be finite, the speed positive")
+        sent = {f"j{k}_rad": angle for k, angle in enumerate(target_rad, 1)}
+        with self._lock:
+            start = self._joints.of(self._place())
+            program = JointTravel(start, target, speed_rad_s, self._driving)
+            end = self._joints.place(target)
+            return self._begin(sent, program, self._joints.allowed(end))
+
+    # -- contact ----------------------------------------------------------------------------------
+
+    def press(self, command: PressCommand) -> SimPressMotion:
+        """Press compliantly from here straight down; refused while the hand is turned."""
+        self._connection.require_ready()
+        refuse_turned(self._world.drive.turn)
         law = PressLaw(
             depth_mm=command.depth_mm,
             ramp_s=command.ramp_s,
@@ -163,8 +241,40 @@ class SimArm(SimDevice):
                 self._motion.end(self._program.failure)
                 self._motion = self._program = None
 
+    def _place(self) -> Place:
+        return self._world.drive.command_mm, self._world.drive.turn
+
+    def _begin(
+        self, sent: Mapping[str, float], program: Program, fault: Fault | None
+    ) -> CommandedMotion:
+        """Begin a move that turns; one whose end is not allowed has failed before it began."""
+        motion = CommandedMotion(sent)
+        if fault is not None:
+            motion.end(fault)
+            return motion
+        self._world.follow(program)
+        return self._take(motion, program)
+
+    def _going_on(
+        self, kind: type[_P], make: Callable[[], _P], sent: Mapping[str, float]
+    ) -> tuple[_P, CommandedMotion]:
+        """Return the program of this kind that goes on, or a new one, and its motion."""
+        program, motion = self._program, self._motion
+        if isinstance(program, kind) and not program.done and motion is not None:
+            return program, motion
+        made = make()
+        self._world.follow(made)
+        return made, self._take(CommandedMotion(sent), made)
+
     def _take(self, motion: CommandedMotion, program: Program) -> CommandedMotion:
         if self._motion is not None:
             self._motion.end(replaced_fault(self.name))
         self._motion, self._program = motion, program
         return motion
+
+
+def _pose(position_mm: FloatArray, turn: FloatArray) -> Pose:
+    x, y, z = position_mm.tolist()
+    if turn is UNTURNED:
+        return Pose(x, y, z)
+    return Pose(x, y, z, *vector_of(turn).tolist())

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from backend.core.turning import refuse_turned
 from backend.devices.motion import CommandedMotion, replaced_fault, stopped_fault
 from backend.devices.protocols import GripStatus
 from backend.devices.sim.connection import Connection, SimDevice
@@ -44,8 +45,9 @@ class SimGripper(SimDevice):
         return self._status
 
     def grip(self, force_n: float) -> CommandedMotion:
-        """Close until the piece is held with ``force_n`` per finger."""
+        """Close until the piece is held with ``force_n`` per finger; refused on a turned hand."""
         self._connection.require_ready()
+        refuse_turned(self._world.drive.turn)
         if not 0.0 < force_n < float("inf"):
             raise ValueError("the grip force must be positive")
         with self._lock:

@@ -13,6 +13,7 @@ from backend.core.clock import HandClock
 from backend.core.faults import Fault, FaultError
 from backend.core.flow import FloatArray
 from backend.core.stream import SampleStream
+from backend.core.turning import LEVEL_RAD, UNTURNED, vector_of
 from backend.devices.melfa.arm import MelfaArm
 from backend.devices.melfa.orders import Orders
 from backend.devices.melfa.r3_client import R3Client, Ticket
@@ -207,8 +208,15 @@ class _Follow:
     done = False
     failure = None
 
-    def __init__(self, rig_mm: Callable[[], FloatArray], world: World) -> None:
-        self._rig_mm, self._world = rig_mm, world
+    def __init__(
+        self, rig_mm: Callable[[], FloatArray], turn: Callable[[], FloatArray], world: World
+    ) -> None:
+        self._rig_mm, self._turn, self._world = rig_mm, turn, world
+
+    @property
+    def turn(self) -> FloatArray:
+        turn = self._turn()
+        return UNTURNED if np.linalg.norm(vector_of(turn)) <= LEVEL_RAD else turn
 
     def next_mm(self, command_mm: FloatArray, cycle: Cycle10) -> FloatArray:
         holding = self._world.holding
@@ -224,5 +232,12 @@ def on_bench(bench: SimulatedBench) -> tuple[MelfaArm, SteppedWires]:
     device = EmulatedMelfa(wanted, start_rad=placing.joints(world.drive.command_mm, READY_RAD))
     wires = SteppedWires(device, bench.clock)
     wires.also = bench.advance
-    world.drive.run(_Follow(lambda: placing.pivot_mm(device.controller.joints.true_rad), world))
+    joints = device.controller.joints
+    world.drive.run(
+        _Follow(
+            lambda: placing.pivot_mm(joints.true_rad),
+            lambda: placing.turn(joints.true_rad),
+            world,
+        )
+    )
     return MelfaArm(wires, bench.force_torque.samples, wanted, bench.clock.now_s), wires

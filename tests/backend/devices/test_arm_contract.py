@@ -7,9 +7,10 @@ import threading
 import numpy as np
 import pytest
 
-from backend.core.faults import FaultError
+from backend.core.faults import FaultError, RefusedError
 from backend.core.flow import Pose
 from backend.devices.protocols import (
+    STILL,
     RobotMode,
     SafetyMode,
 )
@@ -245,3 +246,115 @@ def test_halt_ends_a_move_and_the_next_one_begins_at_once(bench: DevicesUnderTes
     bench.rest(0.1)
     assert bench.arm.pose(0.02).z_mm < still.z_mm - 0.5
     assert not again.done
+
+
+def high(bench: DevicesUnderTest) -> Pose:
+    """Connect and go up to where the hand may turn."""
+    bench.connect()
+    bench.rest(0.1)
+    here = bench.arm.pose(0.1)
+    bench.finish(bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 30.0), 50.0))
+    bench.rest(0.1)
+    return bench.arm.pose(0.1)
+
+
+def vector(pose: Pose) -> tuple[float, float, float]:
+    return (pose.rx_rad, pose.ry_rad, pose.rz_rad)
+
+
+@EVERY
+def test_the_hand_turns_on_the_way_and_back_and_presses_only_unturned(
+    bench: DevicesUnderTest,
+) -> None:
+    up = high(bench)
+    assert bench.arm.rotates
+    begun_s = bench.now_s()
+    there = Pose(up.x_mm + 5.0, up.y_mm, up.z_mm, 0.10, -0.05, 0.2)
+    motion = bench.arm.move_to(there, 20.0, 0.2)
+    bench.finish(motion)
+    motion.result()
+    assert bench.now_s() - begun_s >= float(np.linalg.norm(vector(there))) / 0.2
+    bench.rest(0.1)
+    pose = bench.arm.pose(0.1)
+    assert vector(pose) == pytest.approx(vector(there), abs=1e-4)
+    assert (pose.x_mm, pose.y_mm, pose.z_mm) == pytest.approx(
+        (there.x_mm, there.y_mm, there.z_mm), abs=0.05
+    )
+    with pytest.raises(RefusedError, match="level it first"):
+        bench.arm.press(PRESS)
+    level = bench.arm.move_to(up, 20.0, 0.2)
+    bench.finish(level)
+    level.result()
+    bench.rest(0.1)
+    assert vector(bench.arm.pose(0.1)) == (0.0, 0.0, 0.0)
+
+
+@EVERY
+def test_a_turning_jog_keeps_its_pivot_and_ends_by_itself(bench: DevicesUnderTest) -> None:
+    up = high(bench)
+    first = bench.arm.jog(STILL, 0.14, (0.0, 0.1, 0.0))
+    bench.rest(0.1)
+    assert bench.arm.jog(STILL, 0.14, (0.0, 0.1, 0.0)) is first
+    bench.rest(0.5)
+    assert first.done
+    first.result()
+    pose = bench.arm.pose(0.1)
+    # 2 rad/s^2 up to 0.1 rad/s, 0.24 s of it, and as much way down as was missed going up.
+    assert vector(pose) == pytest.approx((0.0, 0.024, 0.0), abs=0.002)
+    assert (pose.x_mm, pose.y_mm, pose.z_mm) == pytest.approx((up.x_mm, up.y_mm, up.z_mm), abs=0.02)
+
+
+@EVERY
+def test_a_joint_jog_turns_that_joint_alone_and_stop_ends_it(bench: DevicesUnderTest) -> None:
+    high(bench)
+    before = bench.arm.joints_rad(0.1)
+    speeds = (0.0, 0.0, 0.0, 0.0, 0.0, 0.2)
+    motion = bench.arm.jog_joints(speeds, 0.14)
+    bench.rest(0.1)
+    assert bench.arm.jog_joints(speeds, 0.14) is motion
+    bench.rest(0.1)
+    bench.arm.stop()
+    assert motion.done
+    bench.rest(bench.still_s)
+    after = bench.arm.joints_rad(0.1)
+    assert after[:5] == pytest.approx(before[:5], abs=1e-5)
+    assert 0.005 < after[5] - before[5] < 0.04
+    told, pose = bench.arm.place_of(after), bench.arm.pose(0.1)
+    assert vector(told) == pytest.approx(vector(pose), abs=1e-5)
+    assert (told.x_mm, told.y_mm, told.z_mm) == pytest.approx(
+        (pose.x_mm, pose.y_mm, pose.z_mm), abs=0.02
+    )
+    bench.rest(0.3)
+    assert bench.arm.joints_rad(0.1) == pytest.approx(after, abs=1e-5)
+
+
+@EVERY
+def test_joints_go_to_their_ends_and_never_beyond_their_range(bench: DevicesUnderTest) -> None:
+    high(bench)
+    before = bench.arm.joints_rad(0.1)
+    target = (*before[:4], before[4] + 0.05, before[5] - 0.1)
+    motion = bench.arm.move_joints(target, 0.2)
+    bench.finish(motion)
+    motion.result()
+    bench.rest(0.1)
+    assert bench.arm.joints_rad(0.1) == pytest.approx(target, abs=1e-4)
+    beyond = (*target[:5], bench.arm.joint_limits_rad[5][1] + 0.01)
+    refused = bench.arm.move_joints(beyond, 6.0)
+    bench.finish(refused)
+    with pytest.raises(FaultError) as raised:
+        refused.result()
+    assert raised.value.fault.code == "JOINT-RANGE"
+    low, high_rad = bench.arm.joint_limits_rad[5]
+    assert low <= bench.arm.joints_rad(0.1)[5] <= high_rad
+
+
+@EVERY
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_a_turn_without_a_number_is_refused(bench: DevicesUnderTest, bad: float) -> None:
+    bench.connect()
+    with pytest.raises(ValueError, match="finite"):
+        bench.arm.jog(STILL, 0.1, (0.0, bad, 0.0))
+    with pytest.raises(ValueError, match="finite"):
+        bench.arm.jog_joints((bad,) * 6, 0.1)
+    with pytest.raises(ValueError, match="finite"):
+        bench.arm.move_joints((0.0,) * 6, bad)

@@ -10,7 +10,8 @@ from backend.core.facts import Refused, Said
 from backend.core.faults import Fault, RefusedError
 from backend.core.flow import Pose
 from backend.devices.interlock import LEASE_S, Limits
-from backend.devices.jog import TOOL_SIGNS, JogOrder, way_of
+from backend.devices.jog import JogOrder
+from backend.devices.jog_axes import TOOL_SIGNS, way_of
 from backend.devices.jog_limits import fastest_mm_s, refuse_forced, room_mm
 from backend.runs.requests import ProbeRequest, SceneChoice, StackRequest
 from backend.session import Keep
@@ -69,7 +70,7 @@ def test_the_override_slows_a_held_jog_and_says_so(high):
     before = position(high)
     hold(high, 0.5)
     state = high.hand.jog.state
-    assert (state.speed_mm_s, state.slow) == (10.0, "override 50 %")
+    assert (state.speed, state.slow) == (10.0, "override 50 %")
     assert np.linalg.norm(position(high) - before) == pytest.approx(0.5 * 20.0 * 0.48, rel=0.1)
 
 
@@ -206,7 +207,7 @@ def test_near_the_surface_it_is_slow_and_says_so(session):
     """The hand starts 3 mm above the height of contact."""
     before = position(session)
     hold(session, 0.3)
-    assert session.hand.jog.state.speed_mm_s == 2.0
+    assert session.hand.jog.state.speed == 2.0
     assert "surface" in session.hand.jog.state.slow
     assert 0.5 < (position(session) - before)[2] <= 0.601
 

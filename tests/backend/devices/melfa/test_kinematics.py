@@ -50,7 +50,7 @@ def test_joints_for_a_place_reach_it():
         joints = PLACING.joints(pivot, READY_RAD)
         check_joints(joints)
         assert PLACING.pivot_mm(joints) == pytest.approx(pivot, abs=1e-8)
-        assert PLACING.tilt_rad(joints) == pytest.approx(0.0, abs=1e-7)
+        assert PLACING.turn(joints) == pytest.approx(np.eye(3), abs=1e-7)
         solved = melfa_arm.solve(melfa_arm.frame_of(joints), joints + 0.05)
         assert solved == pytest.approx(joints, abs=1e-7)
 

@@ -1,11 +1,12 @@
 """The stream under loss, delay, damage, stalls and stops, on a hand-wound clock."""
 
+import math
 import threading
 
 import numpy as np
 import pytest
 
-from backend.core.faults import FaultError
+from backend.core.faults import FaultError, RefusedError
 from backend.core.flow import Pose
 from backend.devices.melfa.ladder import Rung, rung
 from backend.devices.melfa.replies import MONITORS, Replies
@@ -73,9 +74,27 @@ def test_a_position_that_jumps_at_the_start_is_taken_as_it_is_told():
     assert first.target.axes[0] == pytest.approx(told, abs=1e-7)
 
 
-def test_a_hand_that_does_not_point_down_is_not_moved():
+def test_a_hand_that_was_left_turned_is_taken_as_it_is_and_presses_nothing():
     rig = Rig()
     rig.device.controller.joints.command_rad[4] += 0.02
+    rig.arm.connect(1.0, threading.Event())
+    rig.rest(0.1)
+    pose = rig.arm.pose(0.1)
+    assert math.hypot(pose.rx_rad, pose.ry_rad, pose.rz_rad) == pytest.approx(0.02, abs=1e-4)
+    with pytest.raises(RefusedError, match="TURNED"):
+        rig.arm.press(PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 11.0, (30.0, 30.0, 15.0)))
+    level = rig.arm.move_to(Pose(pose.x_mm, pose.y_mm, pose.z_mm), SPEED_MM_S)
+    rig.rest(2.0)
+    level.result()
+    assert rig.arm.pose(0.1).ry_rad == 0.0
+    assert rig.placing.turn(rig.device.controller.joints.true_rad) == pytest.approx(
+        np.eye(3), abs=1e-5
+    )
+
+
+def test_a_hand_that_leans_too_far_is_not_moved():
+    rig = Rig()
+    rig.device.controller.joints.command_rad[4] += 0.4
     with pytest.raises(FaultError) as raised:
         rig.arm.connect(1.0, threading.Event())
     assert raised.value.fault.code == "TILTED"

@@ -58,7 +58,10 @@ class LabelList(QListView):
 
     def show_row(self, at: int, row: LabelRow) -> None:
         """Show one row anew."""
-        self._rows.replace(at, row)
+        if self._rows.rows[at] != row:
+            # Not told by ``dataChanged``: a list would lay out all of its rows anew.
+            self._rows.rows[at] = row
+            self.update(self._rows.index(at))
 
     def rows(self) -> Sequence[LabelRow]:
         """Return what is shown."""
@@ -107,11 +110,6 @@ class _Rows(QAbstractListModel):
         self.beginResetModel()
         self.rows = list(rows)
         self.endResetModel()
-
-    def replace(self, at: int, row: LabelRow) -> None:
-        if self.rows[at] != row:
-            self.rows[at] = row
-            self.dataChanged.emit(self.index(at), self.index(at))
 
 
 class _RowPainter(QStyledItemDelegate):

@@ -1,5 +1,7 @@
 """Views of the label page: what they say, what they answer, and never at the wrong instant."""
 
+import sys
+
 import numpy as np
 import pytest
 from PySide6.QtCore import QPoint, QPointF, Qt
@@ -93,6 +95,31 @@ class TestOffsetView:
         assert count(view, t.colour("axis_x")) > 1.5 * far
         assert bad > 20 > count(view, t.colour("bad"))
         assert count(view, t.colour("good")) > 20
+
+    @pytest.mark.parametrize("offset", [(0.0, 0.0), (-12.0, 3.0), (20.0, -20.0), (99.99, -99.99)])
+    def test_both_outlines_and_every_source_lie_within_the_square(self, view, offset):
+        ghost = Ghost("model", (-offset[0] / 2, 30.0), 1.0)
+        view.show_scene(scene(offset, (ghost,)))
+        area = view.area()
+        for outline, (x, y) in ((FACE, offset), (BOTTOM, (0, 0)), (FACE, ghost.offset_mm)):
+            placed = outline + np.array([x, y])
+            assert area.x0 < placed[:, 0].min() <= placed[:, 0].max() < area.x1
+            assert area.y0 < placed[:, 1].min() <= placed[:, 1].max() < area.y1
+
+    def test_the_scale_is_one_while_the_centre_is_over_the_bottom(self, view):
+        reach = {scene((0.5 * k, 0.0)).reach_mm for k in range(-15, 16)}
+        assert len(reach) == 1
+        assert len({scene((0.1 * k, 0.0)).reach_mm for k in range(76, 200)}) <= 3
+
+    def test_a_scale_that_grows_while_dragging_does_not_move_the_face(self, view):
+        view.show_scene(scene((6.0, 0.0)))
+        QTest.mousePress(view, Qt.MouseButton.LeftButton, pos=self.at(view, 6.0, 0.0))
+        to = self.at(view, 14.0, 0.0)
+        for _ in range(3):
+            QTest.mouseMove(view, to)
+            view.show_scene(scene(self.moves[-1]))
+        assert view.scene.reach_mm > scene((6.0, 0.0)).reach_mm
+        assert self.moves[-1] == pytest.approx((14.0, 0.0), abs=0.12)
 
     def test_the_ground_is_drawn_once_and_the_ghosts_when_they_change(self, view, monkeypatch):
         drawn = []
@@ -295,6 +322,27 @@ def test_the_list_shows_ten_thousand_rows_and_picks_one(theme, qtbot):
     assert chosen == [7000]
     tip = view.model().index(3).data(Qt.ItemDataRole.AccessibleTextRole)
     assert tip == "pot 3, now, draft, flag"
+
+
+def test_a_row_that_changes_lays_out_no_other(theme, qtbot):
+    rows = [LabelRow(str(k), f"pot {k}", "now", "draft") for k in range(10_000)]
+    view = LabelList(theme, lambda at: None)
+    qtbot.addWidget(view)
+    view.resize(240, 300)
+    view.show_rows(rows)
+    view.show()
+    view.choose(5000)
+    before = view.grab().toImage()
+    asked = []
+    sys.setprofile(lambda frame, *_: asked.append(frame.f_code.co_name))
+    try:
+        view.show_row(5000, LabelRow("5000", "pot 5000", "now", "rejected"))
+        view.choose(5001)
+        picture = view.grab()
+    finally:
+        sys.setprofile(None)
+    assert asked.count("rowCount") < 500
+    assert picture.toImage() != before
 
 
 def test_only_an_older_version_can_be_restored(theme, qtbot):

@@ -18,12 +18,14 @@ from backend.calibration.estimate import Estimate, Quantity, Solution, rms, solv
 from backend.core.faults import RefusedError
 from backend.core.flow import FINGERS, GRID_COLS, GRID_ROWS, MARKERS, Finger, FloatArray
 
-LIMIT_PX = 0.5
+LIMIT_PX = 3.0
+"""The dots of a real gel lie 1.7 px (rms) off a straight lattice: lens and curved gel. A dot taken
+for its neighbour is 32 px off."""
 DOT_SIGMA_PX = 0.1
-"""Standard uncertainty of the mean place of a dot: tracker, print, curved gel."""
+"""Standard uncertainty of the mean place of a dot: tracker and print."""
 WEAK_PX = 1.0
 EVEN_PX = 0.4
-EVEN_RAD = 0.004
+EVEN_RAD = 0.001
 """Smaller differences between two presses do not tell fingers or turns apart."""
 Side = Literal["+x", "-x", "+y", "-y"]
 SIDES: tuple[Side, ...] = ("+x", "-x", "+y", "-y")
@@ -58,8 +60,11 @@ class Lattice:
             length = float(np.linalg.norm(step))
             along = step / length
             variance = along[0] ** 2 * u.covariance[k, k] + along[1] ** 2 * v.covariance[k, k]
+            # Dots that lie off a straight lattice leave its steps the less certain.
+            spread = max(1.0, rms(np.concatenate([u.residuals, v.residuals]), 6) / DOT_SIGMA_PX)
             scale = pitch_mm / length
-            found.append(Quantity(axis, scale, scale * float(np.sqrt(variance)) / length, "mm/px"))
+            sigma = spread * scale * float(np.sqrt(variance)) / length
+            found.append(Quantity(axis, scale, sigma, "mm/px"))
         return found[0], found[1]
 
     @property

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from backend.core.facts import CalibrationMeasured
 from backend.core.faults import RefusedError
 from backend.core.flow import FloatArray, read_only
 
@@ -46,10 +47,27 @@ class Estimate:
         read_only(self.covariance)
         read_only(self.residuals)
 
+    def told(self, t_s: float, what: str) -> CalibrationMeasured:
+        """Return it as a fact of calibration ``what``."""
+        return CalibrationMeasured(
+            t_s,
+            what,
+            names=tuple(q.name for q in self.quantities),
+            values=tuple(q.value for q in self.quantities),
+            sigmas=tuple(q.sigma for q in self.quantities),
+            units=tuple(q.unit for q in self.quantities),
+            residuals=tuple(self.residuals.tolist()),
+            residual=self.residual,
+            limit=self.limit,
+            unit=self.unit,
+            note=self.note,
+            obstacle=self.obstacle,
+        )
+
     @property
     def acceptable(self) -> bool:
         """Whether the residual is within its limit and nothing stands against it."""
-        return bool(self.residual <= self.limit) and not self.obstacle
+        return self.told(0.0, "").acceptable
 
     def value(self, name: str) -> float:
         """Return the value of a quantity; raises KeyError."""

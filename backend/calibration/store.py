@@ -8,7 +8,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
 
-from backend.calibration.estimate import Estimate
 from backend.calibration.kinds import KINDS, WHATS, What
 from backend.calibration.record import (
     CalibrationFile,
@@ -18,6 +17,7 @@ from backend.calibration.record import (
     Value,
     read_record,
 )
+from backend.core.facts import CalibrationMeasured
 from backend.core.faults import InputError, RefusedError
 from backend.core.files import write_atomically
 
@@ -47,8 +47,7 @@ class CalibrationStore:
 
     def accept(
         self,
-        what: What,
-        estimate: Estimate,
+        measured: CalibrationMeasured,
         devices: Mapping[str, DeviceName],
         person: str = "",
         now: datetime | None = None,
@@ -58,34 +57,36 @@ class CalibrationStore:
         Raises ``RefusedError`` "RESIDUAL" or "OBSTACLE" for what is not acceptable, ``InputError``
         where the folder cannot be written.
         """
-        if estimate.obstacle:
-            raise RefusedError("OBSTACLE", estimate.obstacle)
-        if not estimate.acceptable:
+        if measured.obstacle:
+            raise RefusedError("OBSTACLE", measured.obstacle)
+        if not measured.acceptable:
             raise RefusedError(
                 "RESIDUAL",
-                f"The residual of {estimate.residual:.3g} {estimate.unit} exceeds "
-                f"{estimate.limit:g} {estimate.unit}: measure again.",
+                f"The residual of {measured.residual:.3g} {measured.unit} exceeds "
+                f"{measured.limit:g} {measured.unit}: measure again.",
             )
-        kind = KINDS[what]
+        kind = next(kind for kind in KINDS.values() if kind.what == measured.what)
         date = (now or datetime.now(UTC)).replace(microsecond=0)
         file = CalibrationFile(
-            what=what,
+            what=kind.what,
             mode=self.mode,
             values={
-                q.name: Value(value=q.value, sigma=q.sigma, unit=q.unit)
-                for q in estimate.quantities
+                name: Value(value=value, sigma=sigma, unit=unit)
+                for name, value, sigma, unit in zip(
+                    measured.names, measured.values, measured.sigmas, measured.units, strict=True
+                )
             },
-            residual=estimate.residual,
-            limit=estimate.limit,
-            unit=estimate.unit,
-            note=estimate.note,
+            residual=measured.residual,
+            limit=measured.limit,
+            unit=measured.unit,
+            note=measured.note,
             person=person,
             date=date,
             expires_days=kind.days,
             devices={name: devices[name] for name in kind.devices if name in devices},
         )
         record = Record.of(file)
-        path = self.folder / f"{what}-{date:%Y%m%d-%H%M%S}-{record.sha256[:8]}.json"
+        path = self.folder / f"{kind.what}-{date:%Y%m%d-%H%M%S}-{record.sha256[:8]}.json"
         try:
             write_atomically(path, record.text().encode())
         except OSError as error:

@@ -1,4 +1,7 @@
-"""Where the face of a held piece is in the hand: its centre from the axis of the tool."""
+"""Where the face of a held piece is in the hand: its centre from the axis of the tool.
+
+The piece feels the edges of a bottom whose place is known, grip by grip.
+"""
 
 from __future__ import annotations
 
@@ -12,37 +15,8 @@ LIMIT_MM = 0.2
 FELT_SIGMA_MM = 0.06
 """Standard uncertainty of a felt centre of the bottom."""
 _NAMES, _UNITS = ("face_x_mm", "face_y_mm"), ("mm", "mm")
-KNOWN_NOTE = (
-    "The hand did not turn: the centre of the bottom counts as known, and its error is in the "
-    "face centre."
-)
+KNOWN_NOTE = "The centre of the bottom counts as known; its error is in the face centre."
 GRIPS = 3
-
-
-def estimate_turned_tool(turns_rad: FloatArray, felt_mm: FloatArray) -> Estimate:
-    """Return the face centre in the axes of the hand, and where the bottom is.
-
-    ``felt_mm`` (n, 2): where the hand stood with the face over the centre of the bottom, turned by
-    ``turns_rad`` (n,) about z: felt = bottom - R(turn) face. Raises ``RefusedError`` "TURNS" for
-    fewer than three turns, "DEGENERATE" if they are equal.
-    """
-    count = len(felt_mm)
-    if count < 3:
-        raise RefusedError("TURNS", f"{count} turns are too few: feel the bottom at 3 or more.")
-    cos, sin = np.cos(turns_rad), np.sin(turns_rad)
-    design = np.zeros((count, 2, 4))
-    design[:, 0] = np.stack([-cos, sin, np.ones(count), np.zeros(count)], axis=1)
-    design[:, 1] = np.stack([-sin, -cos, np.zeros(count), np.ones(count)], axis=1)
-    found = solve(
-        design.reshape(-1, 4),
-        felt_mm.ravel(),
-        np.full(2 * count, FELT_SIGMA_MM),
-        "The turns are too alike: spread them over half a turn.",
-    )
-    return Estimate(
-        quantities((*_NAMES, "bottom_x_mm", "bottom_y_mm"), ("mm",) * 4, found.x, found.covariance),
-        found.covariance, found.residuals, rms(found.residuals, 4), LIMIT_MM, "mm",
-    )  # fmt: skip
 
 
 def estimate_tool(bottom_mm: FloatArray, bottom_sigma_mm: float, felt_mm: FloatArray) -> Estimate:

@@ -196,6 +196,33 @@ class OriginChecked(Fact):
     agrees: bool
 
 
+@dataclass(frozen=True, slots=True)
+class CalibrationMeasured(Fact):
+    """A calibration was measured; it holds once a person accepts it.
+
+    ``values`` by ``names``, each with its standard uncertainty and unit; ``residual`` and its
+    ``limit`` in ``unit``, ``residuals`` per measurement. ``obstacle``: what stands against it
+    whatever the residual, "" if nothing does; ``note``: what it leaves open.
+    """
+
+    what: str
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    sigmas: tuple[float, ...]
+    units: tuple[str, ...]
+    residuals: tuple[float, ...]
+    residual: float
+    limit: float
+    unit: str
+    note: str
+    obstacle: str
+
+    @property
+    def acceptable(self) -> bool:
+        """Whether the residual is within its limit and nothing stands against it."""
+        return self.residual <= self.limit and not self.obstacle
+
+
 Decision = Literal["keep", "discard", "redo", "flag", "skip"]
 
 

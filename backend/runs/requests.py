@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Literal
 
+from backend.calibration.kinds import What
 from backend.config.method import StackSettings
 from backend.core.flow import PlaceAction
 
@@ -116,7 +117,35 @@ class CollectRequest:
         )  # fmt: skip
 
 
-Request = StackRequest | ProbeRequest | CollectRequest | SetRequest
+@dataclass(frozen=True, slots=True)
+class CalibrateRequest:
+    """Measure calibration ``what``; board, tool and camera hold ``piece`` over ``bottom``.
+
+    ``origin_mm``: where the centre of the bottom is for the arm. ``hand_over`` as in
+    ``CollectRequest``. ``pitch_mm`` of the dots of the gel.
+    """
+
+    what: What
+    piece: str = "pot"
+    bottom: str = "square15"
+    seed: int = 0
+    origin_mm: tuple[float, float] = (0.0, 0.0)
+    hand_over: bool = False
+    pitch_mm: float = 1.9
+
+    @property
+    def takes_piece(self) -> bool:
+        """Whether a piece is held meanwhile."""
+        return self.what not in ("payload", "wrist")
+
+    def scene(self) -> SceneChoice:
+        """Return the scene: the piece in its jig, no model."""
+        return SceneChoice(
+            self.piece, (self.bottom,), self.seed, estimates=False, jig=True, handed=self.hand_over
+        )
+
+
+Request = StackRequest | ProbeRequest | CollectRequest | SetRequest | CalibrateRequest
 """Everything that a session can run; ``backend.runs.plans`` knows the plan of each."""
 
 

@@ -21,7 +21,7 @@ DEVICES = {
     "gripper": DeviceName(maker="G", model="Jaws", serial="G1"),
     "arm": DeviceName(maker="A", model="Arm", serial="A1"),
 }
-FOUND = Estimate(
+ESTIMATE = Estimate(
     (Quantity("mass_kg", 1.5, 0.01, "kg"),),
     np.eye(1),
     np.array([0.1]),
@@ -31,6 +31,8 @@ FOUND = Estimate(
     note="Level.",
 )
 
+FOUND = ESTIMATE.told(0.0, "payload")
+
 
 @pytest.fixture
 def store(tmp_path) -> CalibrationStore:
@@ -38,7 +40,7 @@ def store(tmp_path) -> CalibrationStore:
 
 
 def test_the_file_tells_everything_and_names_itself(store) -> None:
-    path = store.accept("payload", FOUND, DEVICES, "Ada", NOW)
+    path = store.accept(FOUND, DEVICES, "Ada", NOW)
     content = json.loads(path.read_text())
     told = content.pop("sha256")
     canonical = json.dumps(content, sort_keys=True, separators=(",", ":"))
@@ -58,15 +60,15 @@ def test_what_is_not_acceptable_is_not_written(store) -> None:
         (replace(FOUND, obstacle="Turn it."), "OBSTACLE"),
     ):
         with pytest.raises(RefusedError) as refused:
-            store.accept("payload", estimate, DEVICES, now=NOW)
+            store.accept(estimate, DEVICES, now=NOW)
         assert refused.value.reason == reason
     assert not store.folder.exists()
 
 
 def test_the_newest_holds_until_it_expires(store) -> None:
     assert store.standing("payload", DEVICES, NOW).condition == "missing"
-    store.accept("payload", FOUND, DEVICES, now=NOW)
-    newer = store.accept("payload", replace(FOUND, residual=0.2), DEVICES, now=NOW + timedelta(1))
+    store.accept(FOUND, DEVICES, now=NOW)
+    newer = store.accept(replace(FOUND, residual=0.2), DEVICES, now=NOW + timedelta(1))
     standing = store.standing("payload", DEVICES, NOW + timedelta(90.9))
     assert standing.condition == "valid"
     assert standing.record == read_record(newer)
@@ -76,7 +78,7 @@ def test_the_newest_holds_until_it_expires(store) -> None:
 
 
 def test_a_calibration_belongs_to_its_devices_and_to_its_kind_of_bench(store) -> None:
-    store.accept("payload", FOUND, DEVICES, now=NOW)
+    store.accept(FOUND, DEVICES, now=NOW)
     other = {**DEVICES, "force_torque": DeviceName(maker="W", model="Six", serial="F2")}
     assert store.standing("payload", other, NOW).condition == "other device"
     assert "force_torque F1" in store.standing("payload", other, NOW).why
@@ -87,7 +89,7 @@ def test_a_calibration_belongs_to_its_devices_and_to_its_kind_of_bench(store) ->
 
 
 def test_a_changed_or_broken_file_is_said_and_not_used(store) -> None:
-    path = store.accept("payload", FOUND, DEVICES, now=NOW)
+    path = store.accept(FOUND, DEVICES, now=NOW)
     good = path.read_text()
     for bad, said in (
         (good.replace('"value": 1.5', '"value": 1.4'), "was changed"),
@@ -111,7 +113,7 @@ def test_a_bench_that_needs_them_is_refused_by_name_with_the_fix(store) -> None:
     assert "touchdown calibrate payload" in refusal(NOW).detail
     assert store.in_use(DEVICES, required=False, now=NOW) == {}
     for what in ("payload", "board", "tool", "wrist", "camera"):
-        store.accept(what, FOUND, DEVICES, now=NOW)
+        store.accept(replace(FOUND, what=what), DEVICES, now=NOW)
     used = store.in_use(DEVICES, required=True, now=NOW)
     assert len({record.sha256 for record in used.values()}) == 5
     error = refusal(NOW + timedelta(2))

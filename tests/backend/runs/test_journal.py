@@ -53,6 +53,9 @@ ALL = [
     facts.Released(0.9, 1, False, -1.25, FALL),
     facts.Released(0.9, 1, True, None, None),
     facts.TrialFinished(1.0, 1, 7, flow.Outcome.FELL, "because", 3, None, -1.25),
+    facts.CalibrationMeasured(
+        2.9, "payload", ("mass_kg",), (1.5,), (0.01,), ("kg",), (0.1, 0.05), 0.1, 0.3, "N", "", ""
+    ),
     facts.FaultRaised(1.1, Fault("X", "what", "so", "then", "arm")),
     facts.FaultsReset(1.2),
     facts.Progress(1.3, 1, 2, "half"),

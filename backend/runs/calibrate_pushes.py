@@ -1,0 +1,92 @@
+"""Press at the rim of the bottom on four sides, so that the piece leans: which camera is which."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backend.calibration.camera import SIDES, Push, Side, estimate_cameras
+from backend.calibration.estimate import Estimate
+from backend.core.facts import PhaseEntered, Progress
+from backend.core.faults import RefusedError
+from backend.core.flow import FINGERS, FloatArray, Pose
+from backend.devices.protocols import PressCommand
+from backend.runs.bench import Bench
+from backend.runs.jig import pick, put_back
+from backend.runs.motions import MOVE_S, lift, zero_sensors
+from backend.runs.plan import Checkpoint, Plan, Waiting, motion_done
+from backend.runs.requests import CalibrateRequest
+from backend.runs.touching import find_height
+
+OUT = 0.7
+"""The axis of the tool goes beyond the rim of the bottom by this share of the half width of the
+face: nearer to the middle the face lies flat, and the piece does not lean."""
+DEPTH_MM, RAMP_S, HOLD_S, MEAN_S = 1.2, 0.8, 1.4, 0.4
+
+
+def measure_cameras(bench: Bench, request: CalibrateRequest) -> Plan[Estimate]:
+    """Return the scale of both cameras; an obstacle if a finger or a mirror is set wrongly."""
+    pushed = yield from _pushes(bench, request)
+    return estimate_cameras(pushed, request.pitch_mm)
+
+
+def _pushes(bench: Bench, request: CalibrateRequest) -> Plan[list[Push]]:
+    yield from pick(bench)
+    origin = np.array(request.origin_mm)
+    contact_mm = yield from find_height(bench, origin)
+    start_mm = contact_mm + bench.settings.probe.start_height_mm
+    out_mm = np.array(bench.outline.half_extents_mm) + OUT * np.array(
+        bench.piece.face.half_extents_mm
+    )
+    pushed = []
+    for at, side in enumerate(SIDES):
+        yield Checkpoint()
+        yield Progress(bench.now_s(), at, len(SIDES), f"press at the rim, {side}")
+        x_mm, y_mm = (origin + out_mm * _towards(side)).tolist()
+        motion = bench.arm.move_to(Pose(x_mm, y_mm, start_mm), bench.settings.probe.travel_mm_s)
+        yield from motion_done(motion, MOVE_S, "the arm to shift")
+        each = yield from _push(bench, side)
+        pushed.append(each)
+    yield Progress(bench.now_s(), len(SIDES), len(SIDES), "back to the jig")
+    yield from put_back(bench)
+    return pushed
+
+
+def _push(bench: Bench, side: Side) -> Plan[Push]:
+    yield from zero_sensors(bench, 0)
+    yield PhaseEntered(bench.now_s(), "press", 0)
+    probe = bench.settings.probe
+    press = bench.arm.press(
+        PressCommand(
+            depth_mm=DEPTH_MM,
+            ramp_s=RAMP_S,
+            hold_s=HOLD_S,
+            approach_mm_s=probe.approach_mm_s,
+            threshold_n=probe.threshold_n,
+            max_travel_mm=probe.start_height_mm + probe.max_travel_mm,
+            stiffness_n_mm=probe.stiffness_n_mm,
+        )
+    )
+    yield Waiting(lambda: press.done, MOVE_S, "the press to end")
+    press.result()
+    found = _felt(bench, side)
+    yield from lift(bench, 0)
+    return found
+
+
+def _felt(bench: Bench, side: Side) -> Push:
+    """Return the means of the end of the press."""
+    now_s = bench.now_s()
+    rest, moved = [], []
+    for finger in FINGERS:
+        fields = bench.sensing.fields[finger].between(now_s - MEAN_S, now_s)
+        if not fields:
+            raise RefusedError("NO-SAMPLES", f"The {finger} camera was silent.")
+        rest.append(bench.sensing.references[finger].position_px)
+        moved.append(np.mean([field.displacement_px for field in fields], axis=0))
+    return Push(side, np.stack(rest), np.stack(moved))
+
+
+def _towards(side: Side) -> FloatArray:
+    way = np.zeros(2)
+    way["xy".index(side[1])] = 1.0 if side[0] == "+" else -1.0
+    return way

@@ -1,0 +1,111 @@
+"""Feel with the held piece: how high something is at a place, and where its edges are."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from backend.core.facts import PhaseEntered
+from backend.core.faults import FaultError, RefusedError
+from backend.core.flow import FloatArray, Pose
+from backend.devices.protocols import PressCommand
+from backend.runs.bench import Bench
+from backend.runs.jig import approach
+from backend.runs.motions import MOVE_S, rest
+from backend.runs.plan import Plan, Waiting, motion_done
+
+SEARCH_MM = 3.0
+"""An edge is looked for this far on both sides of where it should be."""
+RESOLUTION_MM = 0.1
+BELOW_MM = 1.2
+"""No contact down to this far below the centre's height: the piece is beside the bottom."""
+DEPTH_MM, TOUCH_S = 0.1, 0.1
+SETTLE_S = 0.3
+
+
+def find_height(bench: Bench, centre: FloatArray) -> Plan[float]:
+    """Carry the piece over ``centre`` (2,), touch it, and return the height of contact.
+
+    Raises ``RefusedError`` "ORIGIN-FAR" if nothing is there.
+    """
+    x_mm, y_mm = centre.tolist()
+    start_mm = (bench.piece.grip_height_mm or 0.0) + bench.settings.probe.start_height_mm
+    yield from approach(bench, Pose(x_mm, y_mm, start_mm))
+    contact_mm = yield from touched_mm(bench, centre, start_mm, 2.0 * BELOW_MM)
+    if contact_mm is None:
+        raise RefusedError(
+            "ORIGIN-FAR", "Nothing is felt where the centre of the bottom should be."
+        )
+    return contact_mm
+
+
+def edge_mm(
+    bench: Bench, centre: FloatArray, axis: int, expected_mm: float, start_mm: float
+) -> Plan[float]:
+    """Return how far from ``centre`` along ``axis`` contact ends, by halving.
+
+    ``expected_mm`` with its sign; descents begin at ``start_mm``. Raises ``RefusedError``
+    "ORIGIN-FAR" if the edge is more than ``SEARCH_MM`` off.
+    """
+    side = math.copysign(1.0, expected_mm)
+    inside, outside = abs(expected_mm) - SEARCH_MM, abs(expected_mm) + SEARCH_MM
+    least, most = inside, outside
+    while outside - inside > RESOLUTION_MM:
+        middle = 0.5 * (inside + outside)
+        place = centre.copy()
+        place[axis] += side * middle
+        touched = yield from touched_mm(bench, place, start_mm, BELOW_MM)
+        if touched is None:
+            outside = middle
+        else:
+            inside = middle
+    if inside == least or outside == most:
+        raise RefusedError(
+            "ORIGIN-FAR", f"The bottom is more than {SEARCH_MM:.0f} mm from where it should be."
+        )
+    return side * 0.5 * (inside + outside)
+
+
+def touched_mm(
+    bench: Bench, place: FloatArray, start_mm: float, below_mm: float
+) -> Plan[float | None]:
+    """Descend at ``place`` (2,) from ``start_mm``; return the height of contact, None without one.
+
+    Without contact it goes ``below_mm`` below the usual height of contact. The arm ends where the
+    descent began.
+    """
+    probe = bench.settings.probe
+    x_mm, y_mm = place.tolist()
+    motion = bench.arm.move_to(Pose(x_mm, y_mm, start_mm), probe.travel_mm_s)
+    yield from motion_done(motion, MOVE_S, "the arm to shift")
+    yield from rest(bench, SETTLE_S)
+    yield PhaseEntered(bench.now_s(), "approach", 0)
+    press = bench.arm.press(
+        PressCommand(
+            depth_mm=DEPTH_MM,
+            ramp_s=TOUCH_S,
+            hold_s=2.0 * TOUCH_S,
+            approach_mm_s=probe.approach_mm_s,
+            threshold_n=probe.threshold_n,
+            max_travel_mm=probe.start_height_mm + below_mm,
+            stiffness_n_mm=probe.stiffness_n_mm,
+        )
+    )
+    yield Waiting(lambda: press.done, MOVE_S, "the touch to end")
+    onset_s = press.onset_s
+    try:
+        press.result()
+    except FaultError as cause:
+        if cause.fault.code != "NO-CONTACT":
+            raise
+    height_mm = None if onset_s is None else _height_mm(bench, onset_s)
+    yield PhaseEntered(bench.now_s(), "lift", 0)
+    up = bench.arm.move_to(Pose(x_mm, y_mm, start_mm), probe.travel_mm_s)
+    yield from motion_done(up, MOVE_S, "the arm to lift")
+    return height_mm
+
+
+def _height_mm(bench: Bench, t_s: float) -> float:
+    poses = bench.arm.poses.window(t_s - 0.1, t_s + 0.1)
+    return float(np.interp(t_s, poses.t_s, poses.values[:, 2]))

@@ -18,7 +18,7 @@ from backend.verbs.screen import Screen
 
 VERBS = {
     "app": "open the window",
-    "stack": "place a piece by touch on the simulated bench",
+    "stack": "place a piece by touch on the simulated bench or on a lab's devices",
     "demo": "stack three pieces without a screen and leave a report",
     "collect": "collect labelled probes into a dataset",
     "dataset": "show, check, back up, rebuild and merge datasets",
@@ -31,6 +31,7 @@ VERBS = {
     "evaluate": "measure a contact-patch model",
     "experiment": "measure the paper's three tables on the simulated bench",
     "track": "track the gel's markers in an image, video or folder",
+    "bench": "check a lab file, write a new one, or connect its devices once",
     "emulate": "emulate a device over its real wire: arm, gripper, wrist sensor, camera",
     "settings": "show the settings of the method, or write them to a file",
     "doctor": "check this computer, each finding with its fix",

@@ -1,4 +1,4 @@
-"""``touchdown stack``: run the stacking loop on the simulated bench and tell what happens."""
+"""``touchdown stack``: run the stacking loop on a bench and tell what happens."""
 
 from __future__ import annotations
 
@@ -11,11 +11,26 @@ from typing import TYPE_CHECKING
 
 from rich.table import Table
 
-from backend.core.facts import Fact, FaultRaised, PhaseEntered, Said, TrialFinished, TrialStarted
+from backend.config.lab import is_lab_file
+from backend.core.facts import (
+    ApprovalAwaited,
+    Fact,
+    FaultRaised,
+    PhaseEntered,
+    Said,
+    TrialFinished,
+    TrialStarted,
+)
 from backend.core.faults import InputError
 from backend.core.flow import Outcome
-from backend.runs.requests import StackRequest
+from backend.runs.requests import Mode, StackRequest
 from backend.runs.store import data_folder, models_folder
+from backend.verbs.connecting import (
+    add_lab_arguments,
+    ask_on_a_thread,
+    lab_bench,
+    refuse_lab_arguments,
+)
 from backend.verbs.ctrl_c import ctrl_c_cancels
 from backend.verbs.screen import Screen
 from backend.verbs.settings import load_method
@@ -23,10 +38,11 @@ from backend.verbs.settings import load_method
 if TYPE_CHECKING:
     from backend.assembly import SimulatedBenchChoice
     from backend.config.method import StackSettings
+    from backend.lab import LabChoice
     from backend.session import Keep, Session
 
 NAME = "stack"
-HELP = "stack a piece on the simulated bench, headless"
+HELP = "stack a piece on the simulated bench or on a lab's devices, headless"
 JSON_VERSION = 1
 COLUMNS = ("outcome", "probes", "excess", "margin mm", "reason")
 INPUT_CODE = "INPUT"
@@ -48,7 +64,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--method", type=Path, metavar="FILE", help="settings of the method (see 'settings')"
     )
-    parser.add_argument("--bench", metavar="FILE", help="settings of the simulated bench (TOML)")
+    parser.add_argument(
+        "--bench", metavar="FILE", help="lab file, or settings of the simulated bench (TOML)"
+    )
+    parser.add_argument(
+        "--mode",
+        choices=("auto", "approve", "step"),
+        help="ask before a move (default: auto when simulated, approve on devices)",
+    )
+    add_lab_arguments(parser)
     parser.add_argument("--preset", help="noise preset: mixed, quiet, hard, off, realistic")
     parser.add_argument(
         "--inject",
@@ -79,48 +103,83 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
 
     if args.trials < 1:
         raise InputError("--trials must be at least 1.", "--trials", "Give a positive number.")
+    lab = args.bench is not None and is_lab_file(Path(args.bench))
+    if not lab:
+        refuse_lab_arguments(args)
+    mode: Mode = args.mode or ("approve" if lab else "auto")
+    if mode != "auto" and screen.json:
+        raise InputError("Nobody would see what to approve.", "--mode", "Leave out --json.")
     request = StackRequest(
         piece=args.piece,
         bottoms=tuple(args.bottom.split("+")),
         seed=args.seed,
         trials=args.trials,
         strategy=args.strategy,
+        mode=mode,
         model=args.model,
     )
     runs = Path(args.runs) if args.runs else data_folder() / "runs"
-    choice = SimulatedBenchChoice(
-        file=Path(args.bench) if args.bench else None,
-        preset=args.preset,
-        disturbances=tuple(args.inject),
-        pieces=Path(args.pieces) if args.pieces else None,
+    choice = (
+        _lab_choice(args)
+        if lab
+        else SimulatedBenchChoice(
+            file=Path(args.bench) if args.bench else None,
+            preset=args.preset,
+            disturbances=tuple(args.inject),
+            pieces=Path(args.pieces) if args.pieces else None,
+        )
     )
     keep = Keep(runs, episodes=not args.no_episodes)
     method = load_method(args.method) if args.method else None
     trials: list[TrialFinished] = []
     faults: list[FaultRaised] = []
-    with _session(choice, keep, method, emulated=args.emulated) as session:
+    with _session(choice, keep, method, args, screen) as session:
+        bench = f"{session.name}" if lab else "simulated bench"
         session.hub.subscribe(lambda fact: _follow(fact, trials, faults))
-        session.hub.subscribe(lambda fact: narrate(fact, screen))
+        session.hub.subscribe(lambda fact: narrate(fact, screen, bench))
+        session.hub.subscribe(lambda fact: _ask(fact, session, screen))
         with ctrl_c_cancels(session.engine.cancel):
             session.run(request)
-    screen.show(trial_table(trials))
+    screen.show(trial_table(trials, bench="simulated" if session.simulated else bench))
     if session.run_folder is not None:
         screen.say(f"Kept in {session.run_folder}")
-    screen.result(_result(args, trials, faults, session.run_folder))
+    screen.result(_result(args, trials, faults, session))
     placed = [t for t in trials if t.outcome is Outcome.PLACED]
     return 0 if len(placed) == request.trials and not faults else 1
 
 
+def _lab_choice(args: argparse.Namespace) -> LabChoice:
+    from backend.lab import LabChoice
+
+    simulated_only = {
+        "--preset": args.preset, "--inject": args.inject, "--emulated": args.emulated,
+    }  # fmt: skip
+    for flag, given in simulated_only.items():
+        if given:
+            raise InputError("That is of the simulated bench.", flag, "Leave it out with a lab.")
+    return LabChoice(Path(args.bench), Path(args.pieces) if args.pieces else None)
+
+
 @contextmanager
 def _session(
-    choice: SimulatedBenchChoice, keep: Keep, method: StackSettings | None, *, emulated: bool
+    choice: SimulatedBenchChoice | LabChoice,
+    keep: Keep,
+    method: StackSettings | None,
+    args: argparse.Namespace,
+    screen: Screen,
 ) -> Iterator[Session]:
-    """Open a session on the simulated bench, or on the emulated one; close it in the end."""
-    from backend.assembly import simulated_session
+    """Open a session on the simulated, emulated or real bench; close it in the end."""
+    from backend.assembly import SimulatedBenchChoice, simulated_session
     from backend.learning.registry import Registry
 
+    if not isinstance(choice, SimulatedBenchChoice):
+        with lab_bench(
+            choice, keep, method, screen, home=args.home, override=args.override
+        ) as session:
+            yield session
+        return
     registry = Registry(models_folder())
-    if emulated:
+    if args.emulated:
         from backend.emulated import EmulatedBench
 
         with EmulatedBench(choice, keep=keep, method=method, registry=registry) as bench:
@@ -140,10 +199,17 @@ def _follow(fact: Fact, trials: list[TrialFinished], faults: list[FaultRaised]) 
         faults.append(fact)
 
 
-def narrate(fact: Fact, screen: Screen) -> None:
+def _ask(fact: Fact, session: Session, screen: Screen) -> None:
+    if isinstance(fact, ApprovalAwaited):
+        step = ", ".join(f"{value:+.1f} mm" for value in fact.action.step_mm)
+        screen.say(f"  {fact.action.kind} ({step})? Enter or y: yes; anything else: no.")
+        ask_on_a_thread(session.answer)
+
+
+def narrate(fact: Fact, screen: Screen, bench: str = "simulated bench") -> None:
     """Say one fact in words, if it is one for people."""
     if isinstance(fact, TrialStarted):
-        screen.say(f"Trial {fact.trial}, seed {fact.seed} (simulated bench)")
+        screen.say(f"Trial {fact.trial}, seed {fact.seed} ({bench})")
     elif isinstance(fact, Said):
         screen.say(f"  {fact.t_s:6.2f} s  {fact.text}")
     elif isinstance(fact, PhaseEntered) and fact.phase in ("unload", "release"):
@@ -159,10 +225,12 @@ def narrate(fact: Fact, screen: Screen) -> None:
         screen.say(f"  {fact.t_s:6.2f} s  {word}: {fact.reason}")
 
 
-def trial_table(trials: list[TrialFinished], pieces: Sequence[str] = ()) -> Table:
+def trial_table(
+    trials: list[TrialFinished], pieces: Sequence[str] = (), bench: str = "simulated"
+) -> Table:
     """Return the closing table of a run; ``pieces``: a first column, one per trial."""
     placed = sum(t.outcome is Outcome.PLACED for t in trials)
-    table = Table(title=f"{placed} of {len(trials)} placed (simulated)")
+    table = Table(title=f"{placed} of {len(trials)} placed ({bench})")
     for column in (*(("piece",) if pieces else ()), "seed", *COLUMNS):
         table.add_column(column)
     for index, t in enumerate(trials):
@@ -177,15 +245,15 @@ def _result(
     args: argparse.Namespace,
     trials: list[TrialFinished],
     faults: list[FaultRaised],
-    folder: Path | None,
+    session: Session,
 ) -> dict[str, object]:
     return {
         "version": JSON_VERSION,
         "piece": args.piece,
         "bottom": args.bottom,
         "strategy": args.strategy,
-        "simulated": True,
-        "run": None if folder is None else str(folder),
+        "simulated": session.simulated,
+        "run": None if session.run_folder is None else str(session.run_folder),
         "faults": [f.fault.code for f in faults],
         "trials": [
             {

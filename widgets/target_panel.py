@@ -35,14 +35,17 @@ NO_LIMIT = "any"
 
 @dataclass(frozen=True, slots=True)
 class TargetForm:
-    """What the operator asked for; ``within_mm`` 0 is any displacement that overlaps enough."""
+    """What the operator asked for; ``within_mm`` 0 is any displacement that overlaps enough.
+
+    ``probes_per_grip`` 0: as many as give the campaign three grips, 50 at most.
+    """
 
     piece: str = "pot"
     bottom: str = "circle15"
     within_mm: float = 0.0
     pattern: str = "random"
     count: int = 20
-    probes_per_grip: int = 50
+    probes_per_grip: int = 0
     seed: int = 0
     origin_x_mm: float = 0.0
     origin_y_mm: float = 0.0
@@ -121,7 +124,8 @@ class TargetPanel(Panel):
         self.within.setSpecialValueText(NO_LIMIT)
         self.within.setSuffix(" mm")
         self.count.setRange(1, 100_000)
-        self.per_grip.setRange(1, 1000)
+        self.per_grip.setRange(0, 1000)
+        self.per_grip.setSpecialValueText("auto")
         self.seed.setRange(0, 999_999)
         for spin in self.origin:
             spin.setRange(-100.0, 100.0)
@@ -144,7 +148,7 @@ class TargetPanel(Panel):
             (self.within, "Range", "Largest displacement along x and along y"),
             (self.pattern, "Pattern", "Where the probes go"),
             (self.count, "Probes", "How many probes the campaign plans"),
-            (self.per_grip, "Probes per grip", "At most so many before it is gripped anew"),
+            (self.per_grip, "Probes per grip", "At most so many; auto: three grips, or more"),
             (self.seed, "Seed", "The same seed gives the same plan"),
             (self.person, "Person", "Who collects; stored with every episode"),
             (self.origin[0], "Origin x", "Centre of the bottom for the arm, along x (mm)"),

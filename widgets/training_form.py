@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 
 from PySide6.QtCore import QSignalBlocker
 from PySide6.QtWidgets import (
+    QCheckBox,
     QComboBox,
     QDoubleSpinBox,
     QGridLayout,
@@ -33,7 +34,10 @@ MODALITIES = (("FT+Tac", "Touch and wrench"), ("Tac", "Touch only"), ("FT", "Wre
 
 @dataclass(frozen=True, slots=True)
 class TrainingForm:
-    """What is filled in. ``held_out``: share of the episodes for validation, in per cent."""
+    """What is filled in. ``held_out``: share of the episodes for validation, in per cent.
+
+    ``divide_series``: whole grips of a series may be held out, where there are few mountings.
+    """
 
     data: str = ""
     labels: str = "approved"
@@ -46,6 +50,7 @@ class TrainingForm:
     batch: int = 64
     held_out: int = 10
     seed: int = 0
+    divide_series: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +85,7 @@ class TrainingFormPanel(Panel):
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         self.data, self.labels, self.piece = QComboBox(), QComboBox(), QComboBox()
         self.modality, self.folder = QComboBox(), QToolButton()
-        self.numbers = _Numbers()
+        self.numbers, self.divide = _Numbers(), QCheckBox("Divide series by grips")
         self.start, self.cancel = QPushButton("Start training"), QPushButton("Cancel")
         self.resume, self.defaults = QPushButton("Resume"), QToolButton()
         self.start.setProperty("role", "primary")
@@ -107,6 +112,7 @@ class TrainingFormPanel(Panel):
             combo.currentIndexChanged.connect(intents.changed)
         for number in self.numbers.all():
             number.valueChanged.connect(intents.changed)
+        self.divide.toggled.connect(intents.changed)
 
     def _tips(self) -> None:
         for widget, name, tip in (
@@ -118,6 +124,7 @@ class TrainingFormPanel(Panel):
             (self.start, "Start training", "Train in a process of its own (Ctrl+Return)"),
             (self.cancel, "Cancel", "Stop; whole epochs are kept (Esc)"),
             (self.resume, "Resume", "Go on with the chosen unfinished run (Ctrl+Shift+Return)"),
+            (self.divide, "Divide series", "Hold out grips of a series that is trained on: leaks"),
             (self.defaults, "Defaults", "Fill in the paper's network and the usual training"),
         ):
             widget.setAccessibleName(name)
@@ -173,6 +180,8 @@ class TrainingFormPanel(Panel):
                 if index >= 0:
                     combo.setCurrentIndex(index)
         self.numbers.show(form)
+        with QSignalBlocker(self.divide):
+            self.divide.setChecked(form.divide_series)
 
     def form(self) -> TrainingForm:
         """Return what is filled in."""
@@ -182,6 +191,7 @@ class TrainingFormPanel(Panel):
             labels=self.labels.currentData(),
             piece=self.piece.currentData() or "",
             modality=self.modality.currentData(),
+            divide_series=self.divide.isChecked(),
         )
 
     def show_buttons(self, buttons: TrainingButtons) -> None:
@@ -191,7 +201,7 @@ class TrainingFormPanel(Panel):
         self.cancel.setEnabled(buttons.cancel)
         self.resume.setEnabled(buttons.resume)
         for field in (self.data, self.folder, self.labels, self.piece, self.modality,
-                      self.defaults, *self.numbers.all()):  # fmt: skip
+                      self.defaults, self.divide, *self.numbers.all()):  # fmt: skip
             field.setEnabled(not buttons.cancel)
         self.draw_icons()
 

@@ -25,7 +25,7 @@ def request_of(form: TargetForm, person: str, *, campaign: str = "") -> CollectR
         check_origin=form.check_origin,
         campaign=campaign,
         ask=form.ask,
-        probes_per_grip=form.probes_per_grip,
+        probes_per_grip=form.probes_per_grip or None,
         hand_over=form.hand_over,
     )
 

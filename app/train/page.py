@@ -76,6 +76,7 @@ class TrainPage(QWidget):
         self.split_panel.header.addWidget(label("Held out", "muted"))
         self.split_panel.header.addWidget(self.form.numbers.held_out)
         self.split_panel.column.addWidget(self.leaks)
+        self.split_panel.column.addWidget(self.form.divide)
         self._left = column((self.form, 0), (self.split_panel, 1))
         middle = column((self._curves(), 3), (self._samples_panel(), 2))
         right = column((self._runs_panel(), 4), (self._comparison(), 5))

@@ -317,6 +317,7 @@ def training_request(form: TrainingForm) -> TrainingRequest:
         "epochs": form.epochs,
         "batch": form.batch,
         "validation_share": form.held_out / 100,
+        "divide_series": form.divide_series,
         "seed": form.seed,
     }
     labels = next(name for name in LABEL_CHOICES if name == form.labels)

@@ -62,7 +62,13 @@ class Reading:
         except InputError as error:
             found, trouble = (), f"{error.what} {error.fix}"
             self._key = None
-        seen = overview(found, form.piece, form.held_out / 100, form.seed)
+        seen = overview(
+            found,
+            form.piece,
+            form.held_out / 100,
+            form.seed,
+            divide_series=form.divide_series,
+        )
         runs = tuple(training_runs(data))
         return Looked(seen, runs, self.in_use(seen.piece or _piece_of(runs)), trouble)
 

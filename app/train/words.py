@@ -9,6 +9,7 @@ from typing import Any
 
 from app.train.reading import InUse
 from backend.core.faults import FaultError, InputError
+from backend.dataset.splits import kept_words
 from backend.learning.checkpoint import Card
 from backend.learning.overview import Overview
 from backend.learning.registry import SHIPPED
@@ -22,8 +23,8 @@ NOTHING = "\N{EN DASH}"
 SETTINGS = {
     "labels": "labels", "modality": "sees", "layers": "layers", "hidden": "units",
     "learning_rate": "rate", "schedule": "schedule", "epochs": "epochs", "patience": "patience",
-    "keep": "keeps", "batch": "batch", "validation_share": "held out", "seed": "seed",
-    "piece": "piece",
+    "keep": "keeps", "batch": "batch", "validation_share": "held out",
+    "divide_series": "divides series", "seed": "seed", "piece": "piece",
 }  # fmt: skip
 
 
@@ -67,7 +68,7 @@ def split_words(overview: Overview, trouble: str) -> str:
     """Say what is wrong with the data, or what leaks."""
     if trouble or overview.error:
         return trouble or overview.error
-    kept = f"Whole {overview.kept_together}s are held out."
+    kept = f"{kept_words(overview.kept_together).capitalize()} are held out."
     return "\n".join((*overview.warnings, kept))
 
 

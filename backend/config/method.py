@@ -137,6 +137,8 @@ class TrainingSettings(Settings):
     precision: Literal["float32", "bfloat16"] = "float32"
     """Of the products in a training step; weights, loss and validation stay float32 [U]."""
     validation_share: Probability = 0.1
+    divide_series: bool = False
+    """Hold out whole grips where there are few mountings: validation knows the errors of theirs."""
     seed: Annotated[int, Field(ge=0)] = 0
 
 

@@ -1,12 +1,13 @@
 """Split episodes so that nothing of one side is known to the other.
 
 Errors of a grip or a mounting are shared by all its probes; a split by probe would let the model
-recognise them. So whole mountings are held out, or whole grips where there are too few mountings.
-What is handed on goes further: no pair of a series is divided unless somebody says so.
+recognise them. So whole mountings are held out, or where there are few of them whole series of one
+pair. Whole grips only where somebody says so: their mounting is then on both sides.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
@@ -28,19 +29,27 @@ class Split:
     kept_together: str
 
 
-def split_rows(rows: TrainingRows, share: float, seed: int) -> Split:
-    """Hold out about ``share`` (0..1) of the episodes, in whole mountings or grips.
+def split_rows(
+    rows: TrainingRows, share: float, seed: int, *, divide_series: bool = False
+) -> Split:
+    """Hold out about ``share`` (0..1) of the episodes: whole mountings, series or grips.
 
-    Mountings where there are at least 30, else grips. Raises ``InputError`` if all episodes come
-    from one grip: then every split would leak.
+    Mountings where there are at least 30, else series of one pair; with ``divide_series`` grips
+    instead of series. Raises ``InputError`` if that leaves nothing to hold out.
     """
-    return split_groups(rows.mounting_id, rows.grip_id, share, seed)
+    if divide_series:
+        return split_grips(rows.mounting_id, rows.grip_id, share, seed)
+    pairs = [f"{rows.piece} on {bottom}" for bottom in rows.bottom]
+    return split_series(rows.mounting_id, pairs, share, seed)
 
 
-def split_groups(
+def split_grips(
     mounting_id: Sequence[str], grip_id: Sequence[str], share: float, seed: int
 ) -> Split:
-    """Split as ``split_rows`` does, from the mounting and the grip of each episode."""
+    """Split by mounting where there are at least 30, else by grip: validation knows the mountings.
+
+    Raises ``InputError`` if all episodes come from one grip.
+    """
     if len(set(mounting_id)) >= MIN_MOUNTINGS:
         return _hold_out(list(mounting_id), "mounting", share, seed)
     pairs = zip(mounting_id, grip_id, strict=True)
@@ -49,7 +58,7 @@ def split_groups(
         raise InputError(
             "All episodes come from one grip, so validation would see what training saw.",
             "grip_id",
-            "Use episodes of at least two grips: collect or simulate with fewer probes per grip.",
+            "Collect another campaign of this piece, or one with fewer probes per grip.",
         )
     return _hold_out(keys, "grip", share, seed)
 
@@ -58,18 +67,46 @@ def split_series(mounting_id: Sequence[str], pair: Sequence[str], share: float, 
     """Hold out whole mountings where there are at least 30, else whole series of one pair.
 
     A series is what was recorded on one mounting; ``pair`` names face and bottom of each episode.
-    Raises ``InputError`` if there is but one such series.
+    Every pair keeps a series to train on. Raises ``InputError`` if no pair has two of them.
     """
     if len(set(mounting_id)) >= MIN_MOUNTINGS:
         return _hold_out(list(mounting_id), "mounting", share, seed)
-    keys = [f"{mounting}/{name}" for mounting, name in zip(mounting_id, pair, strict=True)]
-    if len(set(keys)) < 2:
+    keys = list(zip(pair, mounting_id, strict=True))
+    sizes = Counter(keys)
+    of_pair = Counter(name for name, _ in sizes)
+    if not of_pair or max(of_pair.values()) < 2:
+        name = next(iter(of_pair), "one pair")
         raise InputError(
-            "All episodes come from one series of one pair, so validation would know its errors.",
+            f"There is one series only of {name}, so validation would know its errors."
+            if len(of_pair) < 2
+            else "There is one series only of each pair, so validation would know its errors.",
             "mounting_id",
-            "Collect another series, or let its grips be divided (--divide-series).",
+            "Collect another campaign of the same pair (each is a series of its own), or choose to "
+            "divide series by grips (--divide-series).",
         )
-    return _hold_out(keys, "series", share, seed)
+    chosen = _chosen_series(sizes, of_pair, share * len(keys), seed)
+    held_out = np.array([key in chosen for key in keys])
+    return Split(np.flatnonzero(~held_out), np.flatnonzero(held_out), "series")
+
+
+def _chosen_series(
+    sizes: Counter[tuple[str, str]], of_pair: Counter[str], wanted: float, seed: int
+) -> set[tuple[str, str]]:
+    """Draw series up to ``wanted`` episodes, or the smallest one if none is so small."""
+    names = sorted(key for key in sizes if of_pair[key[0]] > 1)
+    order = np.random.default_rng([seed, 14]).permutation(len(names))
+    drawn, left, total = set[tuple[str, str]](), Counter(of_pair), 0
+    for key in (names[k] for k in order.tolist()):
+        if total + sizes[key] <= wanted and left[key[0]] > 1:
+            drawn.add(key)
+            left[key[0]] -= 1
+            total += sizes[key]
+    return drawn or {min((names[k] for k in order.tolist()), key=lambda key: sizes[key])}
+
+
+def kept_words(kept_together: str) -> str:
+    """Say in the plural what was never divided."""
+    return "whole series" if kept_together == "series" else f"whole {kept_together}s"
 
 
 def divided(sides: Sequence[str], groups: Sequence[Hashable]) -> NDArray[np.int64]:

@@ -16,7 +16,7 @@ from backend.catalogue.dataset import Dataset
 from backend.catalogue.split_tags import tagged_sides
 from backend.catalogue.values import EpisodeEntry, EpisodeFilter, Revision
 from backend.core.faults import InputError
-from backend.dataset.splits import Split, divided, split_groups, split_series
+from backend.dataset.splits import Split, divided, split_grips, split_series
 
 ExportState = Literal["approved", "submitted", "draft"]
 EXPORT_STATES: tuple[ExportState, ...] = get_args(ExportState)
@@ -151,8 +151,8 @@ def _sides(
 def _drawn(entries: Sequence[EpisodeEntry], query: ExportQuery) -> Split:
     mountings = [entry.mounting_id for entry in entries]
     if query.divide_series:
-        return split_groups(mountings, [e.grip_id for e in entries], query.held_out, query.seed)
-    pairs = [f"{entry.piece}/{entry.bottom}" for entry in entries]
+        return split_grips(mountings, [e.grip_id for e in entries], query.held_out, query.seed)
+    pairs = [f"{entry.piece} on {entry.bottom}" for entry in entries]
     return split_series(mountings, pairs, query.held_out, query.seed)
 
 

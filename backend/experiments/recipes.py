@@ -201,5 +201,7 @@ def paper_training(inputs: str, epochs: int) -> TrainingSettings:
             "schedule": "constant",
             "keep": "last",
             "patience": epochs,
+            # One mounting an outline: nothing is chosen by validation, so that it may know them.
+            "divide_series": True,
         }
     )

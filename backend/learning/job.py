@@ -37,7 +37,7 @@ class TrainingJob(Message):
 
 
 class Loaded(Message):
-    """The data are there. ``kept_together`` says what was never split: "grip" or "mounting"."""
+    """The data are there. ``kept_together``: what was never divided (mounting, series or grip)."""
 
     kind: Literal["loaded"] = "loaded"
     piece: str

@@ -15,7 +15,7 @@ from backend.core.faults import InputError
 from backend.dataset.channels import LABEL, unpack_json
 from backend.dataset.contents import explained, read_groups
 from backend.dataset.rows import find_packs
-from backend.dataset.splits import MIN_MOUNTINGS, Split, split_groups
+from backend.dataset.splits import MIN_MOUNTINGS, Split, split_grips, split_series
 
 FEW = 30
 """A share measured on fewer episodes is uncertain by more than 0.18 (95 %)."""
@@ -76,7 +76,14 @@ def candidates(data: Path, labels: LabelChoice) -> list[Candidate]:
     return [Candidate(e.piece, e.bottom, e.grip_id, e.mounting_id, e.row.sha256) for e in listed]
 
 
-def overview(found: Sequence[Candidate], piece: str, share: float, seed: int) -> Overview:
+def overview(
+    found: Sequence[Candidate],
+    piece: str,
+    share: float,
+    seed: int,
+    *,
+    divide_series: bool = False,
+) -> Overview:
     """Return the sides of ``piece`` ("": the commonest) as ``Trainer`` would split them."""
     counts = Counter(one.piece for one in found)
     pieces = tuple(sorted(counts))
@@ -85,12 +92,16 @@ def overview(found: Sequence[Candidate], piece: str, share: float, seed: int) ->
     chosen = piece if piece in counts else counts.most_common(1)[0][0]
     mine = [one for one in found if one.piece == chosen]
     bottoms = sorted({one.bottom for one in mine})
-    mountings, grips = [one.mounting_id for one in mine], [one.grip_id for one in mine]
+    mountings = [one.mounting_id for one in mine]
     try:
-        split = split_groups(mountings, grips, share, seed)
+        if divide_series:
+            split = split_grips(mountings, [one.grip_id for one in mine], share, seed)
+        else:
+            names = [f"{one.piece} on {one.bottom}" for one in mine]
+            split = split_series(mountings, names, share, seed)
     except InputError as error:
         pairs = tuple(PairCount(chosen, b, sum(o.bottom == b for o in mine), 0) for b in bottoms)
-        return Overview(pieces, chosen, pairs, error=error.what)
+        return Overview(pieces, chosen, pairs, error=f"{error.what} {error.fix}")
     pairs = tuple(_pair(mine, split, bottom) for bottom in bottoms)
     return Overview(
         pieces, chosen, pairs, split.kept_together, tuple(_warnings(mine, split, pairs))
@@ -106,9 +117,9 @@ def _pair(mine: Sequence[Candidate], split: Split, bottom: str) -> PairCount:
 def _warnings(mine: Sequence[Candidate], split: Split, pairs: Sequence[PairCount]) -> Iterator[str]:
     train = [mine[i] for i in split.train.tolist()]
     held_out = [mine[i] for i in split.held_out.tolist()]
-    shared = {one.mounting_id for one in train} & {one.mounting_id for one in held_out}
+    shared = _series(train) & _series(held_out)
     if shared:
-        words = "1 mounting is" if len(shared) == 1 else f"{len(shared)} mountings are"
+        words = "1 series is" if len(shared) == 1 else f"{len(shared)} series are"
         yield (
             f"Leakage: {words} on both sides, so validation knows their errors. From "
             f"{MIN_MOUNTINGS} mountings on, whole mountings are held out."
@@ -126,6 +137,10 @@ def _warnings(mine: Sequence[Candidate], split: Split, pairs: Sequence[PairCount
         yield f"No episode of {', '.join(unmeasured)} is held out: nothing is measured on it."
     if len(held_out) < FEW:
         yield f"Only {len(held_out)} episodes are held out: their figures are uncertain."
+
+
+def _series(some: Sequence[Candidate]) -> set[tuple[str, str]]:
+    return {(one.mounting_id, one.bottom) for one in some}
 
 
 def _in_packs(folder: Path) -> Iterator[Candidate]:

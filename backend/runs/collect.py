@@ -27,13 +27,13 @@ from backend.runs.requests import CollectRequest
 def collect_run(host: RunHost, request: CollectRequest) -> Plan[None]:
     """Collect what the plan still lacks; every episode is durable before the next press."""
     dataset = _dataset(host, request)
-    host = replace(host, method=request.method(host.method))
     campaign = _begun(dataset, request)
     request = replace(
         request, piece=campaign.piece, bottom=campaign.bottom, count=campaign.count,
         pattern=campaign.pattern, seed=campaign.seed, within_mm=campaign.within_mm,
         campaign=campaign.uuid,
     )  # fmt: skip
+    host = replace(host, method=request.method(host.method))
     settings = record_of(request, host.method, host.check(request.scene()))
     entries = dataset.episodes(EpisodeFilter(campaign=campaign.uuid))
     room_for(dataset.folder, len(campaign.todo(entries)))

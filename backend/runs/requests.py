@@ -12,6 +12,8 @@ from backend.core.flow import PlaceAction
 
 Strategy = Literal["paper", "pick-and-place"]
 Mode = Literal["auto", "approve", "step"]
+GRIPS = 3
+"""So many grips at least does a campaign make by default: fewer show nothing of what a grip does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +85,9 @@ class CollectRequest:
     is for the arm, with its standard uncertainty (None: that of the settings). ``campaign`` goes on
     with a former one, whose plan then holds instead. With ``ask`` the run waits for a decision
     after every probe. ``check_origin``: probe at known displacements after every mounting.
-    ``probes_per_grip``: at most so many (None: as the settings say). ``hand_over``: the operator
-    hands the piece to the gripper where it is, as on every bench without a taught jig.
+    ``probes_per_grip``: at most so many (None: as the settings say, and so few that the campaign
+    has ``GRIPS`` grips). ``hand_over``: the operator hands the piece to the gripper where it is, as
+    on every bench without a taught jig.
     """
 
     piece: str = "pot"
@@ -104,9 +107,10 @@ class CollectRequest:
 
     def method(self, base: StackSettings) -> StackSettings:
         """Return the settings of this run, laid over those of the bench."""
-        if self.probes_per_grip is None:
-            return base
-        collect = base.collect.model_copy(update={"probes_per_grip": self.probes_per_grip})
+        limit = self.probes_per_grip
+        if limit is None:
+            limit = min(base.collect.probes_per_grip, max(1, -(-self.count // GRIPS)))
+        collect = base.collect.model_copy(update={"probes_per_grip": limit})
         return base.model_copy(update={"collect": collect})
 
     def scene(self, mounting: int = 0) -> SceneChoice:

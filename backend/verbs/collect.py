@@ -50,11 +50,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--within", type=float, metavar="MM", help="largest displacement in x, y")
     parser.add_argument("--seed", type=int, default=0)
     limits = CollectSettings()
-    for flag, default in (
-        ("--probes-per-grip", limits.probes_per_grip),
-        ("--grips-per-mounting", limits.grips_per_mounting),
-    ):
-        parser.add_argument(flag, type=int, default=default, help=f"at most (default: {default})")
+    parser.add_argument(
+        "--probes-per-grip", type=int,
+        help=f"at most (default: a third of the campaign, at most {limits.probes_per_grip})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--grips-per-mounting", type=int, default=limits.grips_per_mounting,
+        help="at most (default: %(default)s)",
+    )  # fmt: skip
     parser.add_argument(
         "--origin", type=float, nargs=2, default=(0.0, 0.0), metavar=("X", "Y"),
         help="centre of the bottom in the frame of the arm, mm (default: 0 0)",
@@ -86,7 +89,8 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     from backend.catalogue.dataset import Dataset
 
     for flag in ("probes_per_grip", "grips_per_mounting"):
-        if getattr(args, flag) < 1:
+        value = getattr(args, flag)
+        if value is not None and value < 1:
             name = "--" + flag.replace("_", "-")
             raise InputError(f"{name} must be at least 1.", name, "Give a positive number.")
     if args.hand_over and screen.json:
@@ -158,9 +162,7 @@ def _session(args: argparse.Namespace) -> Session:
     from backend.assembly import SimulatedBenchChoice, simulated_session
     from backend.session import Keep
 
-    limits = CollectSettings(
-        probes_per_grip=args.probes_per_grip, grips_per_mounting=args.grips_per_mounting
-    )
+    limits = CollectSettings(grips_per_mounting=args.grips_per_mounting)
     choice = SimulatedBenchChoice(
         file=Path(args.bench) if args.bench else None,
         preset=args.preset,
@@ -192,6 +194,7 @@ def _request(args: argparse.Namespace, dataset: Dataset, person: str) -> Collect
         origin_sigma_mm=args.origin_sigma,
         check_origin=args.check_origin,
         campaign=campaign,
+        probes_per_grip=args.probes_per_grip,
         hand_over=args.hand_over,
     )
 

@@ -39,7 +39,7 @@ def packs(tmp_path_factory) -> Path:
                 "episode": f"e{i}", "x_um": 0, "y_um": 0, "sigma_um": 0, "source": "commanded",
                 "piece": pot.name, "bottom": ("circle15", "short")[i % 2],
                 "patch": patch_hex(points[:, 0] * side >= 0), "points": len(points),
-                "geometry": pot.sha256, "grip_id": f"g{i // 5}", "mounting_id": f"m{i // 50}",
+                "geometry": pot.sha256, "grip_id": f"g{i // 5}", "mounting_id": f"m{i // 10}",
                 "person": "simulated", "seed": i,
             })  # fmt: skip
 
@@ -128,7 +128,11 @@ def test_counts_and_leaks_are_there_before_training(desk):
     rows = page.split.texts()
     assert [row[0] for row in rows] == ["circle15", "short", "all"]
     assert int(rows[2][1]) + int(rows[2][2]) == EPISODES
-    assert "Leakage: 1 mounting is on both sides" in page.leaks.text()
+    assert "Whole series are held out" in page.leaks.text()
+    assert "Leakage" not in page.leaks.text()
+    page.form.divide.setChecked(True)
+    desk.settle()
+    assert "on both sides" in page.leaks.text()
     before = int(rows[2][2])
     page.form.numbers.held_out.setValue(40)
     desk.settle()

@@ -34,9 +34,36 @@ def test_many_mountings_are_held_out_whole() -> None:
     assert not held_out & {mountings[k] for k in split.train.tolist()}
 
 
-def test_one_series_alone_cannot_be_split() -> None:
-    with pytest.raises(InputError, match="one series of one pair"):
-        split_series(["m"] * 8, ["pot/short"] * 8, 0.25, 0)
+@pytest.mark.parametrize(
+    ("mountings", "pairs", "named"),
+    [
+        (["m"] * 8, ["pot on short"] * 8, "one series only of pot on short"),
+        (["m", "n"] * 4, ["pot on short", "pot on long"] * 4, "one series only of each pair"),
+    ],
+)
+def test_a_pair_with_one_series_cannot_be_split(
+    mountings: list[str], pairs: list[str], named: str
+) -> None:
+    with pytest.raises(InputError, match=named) as refused:
+        split_series(mountings, pairs, 0.25, 0)
+    assert "Collect another campaign" in refused.value.fix
+    assert "--divide-series" in refused.value.fix
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_every_pair_keeps_a_series_to_train_on(seed: int) -> None:
+    mountings = ["a"] * 5 + ["b"] * 5 + ["c"] * 5 + ["d"] * 5
+    pairs = ["pot on short"] * 10 + ["pot on long"] * 5 + ["pot on hex20"] * 5
+    split = split_series(mountings, pairs, 0.9, seed)
+    assert {pairs[k] for k in split.train.tolist()} == set(pairs)
+    assert {pairs[k] for k in split.held_out.tolist()} == {"pot on short"}
+
+
+def test_a_short_series_is_held_out_rather_than_most_of_the_data() -> None:
+    mountings = ["long"] * 98 + ["short"] * 2
+    for seed in range(4):
+        split = split_series(mountings, ["pot on short"] * 100, 0.1, seed)
+        assert split.held_out.tolist() == [98, 99]
 
 
 def test_the_episodes_of_divided_groups_are_found() -> None:

@@ -32,7 +32,7 @@ def write_data(pot: Piece) -> Callable[[Path, int], Path]:
                 "episode": f"e{i}", "x_um": 0, "y_um": 0, "sigma_um": 0, "source": "commanded",
                 "piece": pot.name, "bottom": ("circle15", "short")[i % 2],
                 "patch": patch_hex(points[:, 0] * side >= 0), "points": len(points),
-                "geometry": pot.sha256, "grip_id": f"g{i // 3}", "mounting_id": "m0",
+                "geometry": pot.sha256, "grip_id": f"g{i // 3}", "mounting_id": f"m{i // 6}",
                 "person": "simulated", "seed": i,
             }  # fmt: skip
             yield EpisodeRow(observation, label)

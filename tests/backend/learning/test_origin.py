@@ -57,7 +57,10 @@ def test_the_benches_of_a_dataset_are_told(tmp_path: Path) -> None:
     assert len({e["file_sha256"] for e in listed}) == len(rows) == 9
     assert all(e["revision"] for e in listed)
     one_mounting = replace(rows, mounting_id=("m",) * len(rows))
-    told = [json.loads(manifest_of(r, split_rows(r, 0.3, 0))) for r in (rows, one_mounting)]
+    told = [
+        json.loads(manifest_of(r, split_rows(r, 0.3, 0, divide_series=True)))
+        for r in (rows, one_mounting)
+    ]
     assert "warnings" not in told[0]
     assert told[1]["warnings"][0].startswith("Leakage: 9 episodes share mounting and bottom")
 

@@ -123,7 +123,12 @@ def test_the_overview_counts_what_training_will_see(tmp_path: Path, write_data: 
         ("circle15", 12),
         ("short", 12),
     ]
-    assert seen.warnings[0].startswith("Leakage: 1 mounting is on both sides")
+    assert seen.kept_together == "series"
+    assert not any("Leakage" in words for words in seen.warnings)
+    leaking = overview(candidates(data, "approved"), "", 0.25, 0, divide_series=True)
+    assert leaking.kept_together == "grip"
+    assert leaking.warnings[0].startswith("Leakage: ")
+    assert "on both sides" in leaking.warnings[0]
 
 
 def of(count: int, mountings: int, content: str = "") -> list[Candidate]:
@@ -139,6 +144,7 @@ def test_leakage_is_told() -> None:
     twins = overview(of(400, 40, "same"), "pot", 0.1, 0)
     assert "training has a copy" in twins.warnings[0]
     single = overview([Candidate("pot", "short", "g", "m")] * 9, "pot", 0.1, 0)
-    assert "one grip" in single.error
+    assert "one series only of pot on short" in single.error
+    assert "Collect another campaign" in single.error
     assert single.pairs[0].train == 9
     assert overview([], "", 0.1, 0).error

@@ -31,7 +31,8 @@ def folder(tmp_path: Path) -> Path:
 
 
 def job(folder: Path, **changes: Any) -> TrainingJob:
-    settings = TrainingSettings(hidden=12, epochs=changes.pop("epochs", 2), batch=8, patience=9)
+    settings = TrainingSettings(hidden=12, epochs=changes.pop("epochs", 2), batch=8, patience=9,
+                                divide_series=True)  # fmt: skip
     fields = {"data": folder, "piece": "pot", "out": folder.parent / "pot.safetensors"}
     return TrainingJob.model_validate(
         {**fields, "settings": settings, "labels": "drafts", **changes}
@@ -46,7 +47,17 @@ def only_run(folder: Path) -> About:
 
 def test_the_train_verb_records_its_run(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = folder.parent / "pot.safetensors"
-    words = ["train", str(folder), "--labels", "drafts", "--epochs", "2", "--seed", "5"]
+    words = [
+        "train",
+        str(folder),
+        "--labels",
+        "drafts",
+        "--epochs",
+        "2",
+        "--seed",
+        "5",
+        "--divide-series",
+    ]
     assert main([*words, "--out", str(out), "--json"]) == 0
     answer = json.loads(capfd.readouterr().out)
     run = only_run(folder)
@@ -109,5 +120,6 @@ def test_refused_data_is_a_failed_run_and_packs_alone_have_none(
     assert main(["train", str(folder), "--out", out]) == 2
     assert "label" in only_run(folder).reason
     capfd.readouterr()
-    assert main(["train", str(folder / "packs"), "--epochs", "1", "--out", out, "--json"]) == 0
+    words = ["--epochs", "1", "--divide-series", "--out", out, "--json"]
+    assert main(["train", str(folder / "packs"), *words]) == 0
     assert "run" not in json.loads(capfd.readouterr().out)

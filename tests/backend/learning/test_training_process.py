@@ -29,7 +29,7 @@ def test_the_child_trains_and_equals_training_here(tmp_path: Path, write_data: D
         reports = list(training.reports())
     assert [type(r) for r in reports] == [Loaded, Epoch, Epoch, Epoch, Finished]
     assert isinstance(reports[0], Loaded)
-    assert (reports[0].episodes, reports[0].points, reports[0].kept_together) == (24, 177, "grip")
+    assert (reports[0].episodes, reports[0].points, reports[0].kept_together) == (24, 177, "series")
     card = load_checkpoint(out).card
     assert card.data["episodes"] == {"circle15": 12, "short": 12}
     assert not resume_path(out).exists()

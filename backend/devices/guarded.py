@@ -12,7 +12,7 @@ from backend.core.flow import Pose
 from backend.core.stream import SampleStream
 from backend.core.turning import LEVEL_RAD, refuse_turned, turn_of, turned_rad
 from backend.devices.interlock import LEASE_S, Interlock, ReleaseEvidence, release_refusal
-from backend.devices.jog_limits import outside_box_mm, refuse_forced, room_mm
+from backend.devices.jog_limits import refuse_forced, refuse_outside, room_mm
 from backend.devices.protocols import (
     STILL,
     TURN_RAD_S,
@@ -120,19 +120,7 @@ class GuardedArm(_Guarded):
             raise RefusedError(
                 "SPEED", f"{speed_mm_s:.1f} mm/s is not within 0 to {limits.speed_mm_s:.0f} mm/s."
             )
-        reach = math.hypot(target.x_mm, target.y_mm)
-        if reach > limits.reach_mm:
-            over = reach - limits.reach_mm
-            raise RefusedError("REACH", f"The target is {over:.1f} mm outside the workspace.")
-        over = outside_box_mm(target, limits)
-        if over > 0.0:
-            raise RefusedError("BOX", f"The target is {over:.1f} mm outside the workspace box.")
-        if not limits.lowest_mm <= target.z_mm <= limits.highest_mm:
-            raise RefusedError(
-                "HEIGHT",
-                f"z = {target.z_mm:.1f} mm is not within {limits.lowest_mm:.0f} to "
-                f"{limits.highest_mm:.0f} mm.",
-            )
+        refuse_outside(target, limits)
         self._refuse_dragging(target)
         turning = self._refuse_turned_move(target, turn_rad_s)
         override = self._interlock.override

@@ -148,7 +148,7 @@ class Jog:
         self._permit.refuse(going.axis, going.frame, going.signed)
         self._interlock.renew_lease(self._around.now_s())
         target = Pose(here.x_mm, here.y_mm, here.z_mm)
-        motion = self._arm.move_to(target, self._interlock.limits.jog_mm_s, speed_rad_s)
+        motion = self._arm.move_to(target, self._interlock.limits.speed_mm_s, speed_rad_s)
         self._step = (motion, going)
 
     # -- on the bench's own time ------------------------------------------------------------------
@@ -200,6 +200,7 @@ class Jog:
     def _stepped(self, going: _Going, speed: float) -> Motion:
         arm, here, size = self._arm, self._permit.here(), abs(going.signed)
         if going.axis in JOINTS:
+            speed = self._permit.joint_most(going.axis, speed if going.signed > 0 else -speed)
             now = arm.joints_rad(max_age_s=POSE_AGE_S)
             way = joint_speeds(going.axis, going.signed)
             return arm.move_joints(tuple(a + b for a, b in zip(now, way, strict=True)), speed)
@@ -208,7 +209,7 @@ class Jog:
             turn = turn_about(np.array([x, y, z])) @ turn_of(here)
             rx, ry, rz = vector_of(turn).tolist()
             target = replace(here, rx_rad=rx, ry_rad=ry, rz_rad=rz)
-            return arm.move_to(target, self._interlock.limits.jog_mm_s, speed)
+            return arm.move_to(target, self._interlock.limits.speed_mm_s, speed)
         target = replace(here, x_mm=here.x_mm + x, y_mm=here.y_mm + y, z_mm=here.z_mm + z)
         # The arm applies the override itself; the zone near the surface holds whatever it is.
         most = self._permit.line_zone()[0] / self._interlock.override

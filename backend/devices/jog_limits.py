@@ -48,6 +48,22 @@ def outside_box_mm(pose: Pose, limits: Limits) -> float:
     )
 
 
+def refuse_outside(target: Pose, limits: Limits) -> None:
+    """Raise ``RefusedError`` unless ``target`` is in the workspace."""
+    over = math.hypot(target.x_mm, target.y_mm) - limits.reach_mm
+    if not over <= 0.0:
+        raise RefusedError("REACH", f"The target is {over:.1f} mm outside the workspace.")
+    over = outside_box_mm(target, limits)
+    if not over <= 0.0:
+        raise RefusedError("BOX", f"The target is {over:.1f} mm outside the workspace box.")
+    if not limits.lowest_mm <= target.z_mm <= limits.highest_mm:
+        raise RefusedError(
+            "HEIGHT",
+            f"z = {target.z_mm:.1f} mm is not within {limits.lowest_mm:.0f} to "
+            f"{limits.highest_mm:.0f} mm.",
+        )
+
+
 def refuse_forced(press_n: float, way: Way, limits: Limits, *, recovering: bool) -> None:
     """Raise ``RefusedError`` if the wrist feels a force that forbids ``way``; NaN refuses."""
     if not math.isfinite(press_n):

@@ -125,13 +125,23 @@ class Permit:
         speed = asked * interlock.override
         slow = "" if speed == asked else f"override {100 * interlock.override:.0f} %"
         if axis in JOINTS:
-            speed, slow = self._hand_bound(axis, speed if signed > 0 else -speed, slow)
+            most = self.joint_most(axis, speed if signed > 0 else -speed)
+            speed, slow = (speed, slow) if most == speed else (most, "the hand at its top speed")
         left = self.left(axis, frame, signed)
         if left / REPEAT_S < speed:
             speed, slow = left / REPEAT_S, f"{amount(axis, left)} to the limit"
         if not speed >= min(asked * interlock.override, CREEP_RAD_S):
             raise RefusedError("LIMIT", left_words(axis, frame, signed, left))
         return speed, slow
+
+    def joint_most(self, axis: Axis, signed: float) -> float:
+        """Return ``signed``, rad/s, unsigned, or less where the hand would go too fast."""
+        now = self._arm.joints_rad(max_age_s=POSE_AGE_S)
+        ahead = self._arm.place_of(_added(now, joint_speeds(axis, signed * REPEAT_S)))
+        mm_s = math.dist(astuple(self._arm.place_of(now))[:3], astuple(ahead)[:3]) / REPEAT_S
+        # A hair below it, as the way of the hand is an arc.
+        most = 0.99 * self._interlock.limits.jog_mm_s
+        return abs(signed) if mm_s <= most else abs(signed) * most / mm_s
 
     def line_zone(self) -> tuple[float, str]:
         """Return the highest speed along an axis here, mm/s, and why it is lower than usual."""
@@ -159,17 +169,6 @@ class Permit:
         if not speed >= min(asked * override, CREEP_MM_S):
             raise RefusedError("LIMIT", left_words(axis, frame, signed, left_mm))
         return speed, slow
-
-    def _hand_bound(self, axis: Axis, signed: float, slow: str) -> tuple[float, str]:
-        """Slow a joint down to where the hand keeps to its own speed limit."""
-        now = self._arm.joints_rad(max_age_s=POSE_AGE_S)
-        ahead = self._arm.place_of(_added(now, joint_speeds(axis, signed * REPEAT_S)))
-        mm_s = math.dist(astuple(self._arm.place_of(now))[:3], astuple(ahead)[:3]) / REPEAT_S
-        # A hair below it, as the way of the hand is an arc.
-        most = 0.99 * self._interlock.limits.jog_mm_s
-        if mm_s <= most:
-            return abs(signed), slow
-        return abs(signed) * most / mm_s, f"the hand at {most:.0f} mm/s"
 
     def _joint_left(self, axis: Axis, sign: int) -> float:
         now = self._arm.joints_rad(max_age_s=POSE_AGE_S)

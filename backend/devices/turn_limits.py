@@ -20,7 +20,7 @@ from backend.core.turning import (
     turned_rad,
 )
 from backend.devices.interlock import Limits
-from backend.devices.jog_limits import Way
+from backend.devices.jog_limits import Way, refuse_outside
 
 SLACK_RAD = 1e-6
 """A hand that was turned to its limit is at it, whatever the last digit says."""
@@ -47,15 +47,7 @@ def refuse_turning(pose: Pose, surface_mm: float, press_n: float, limits: Limits
 
 def refuse_place(pose: Pose, surface_mm: float, limits: Limits) -> None:
     """Raise ``RefusedError`` unless the hand may be at ``pose``, turned as that says."""
-    outside_mm = math.hypot(pose.x_mm, pose.y_mm) - limits.reach_mm
-    if not outside_mm <= 0.0:
-        raise RefusedError("REACH", f"The hand would be {outside_mm:.1f} mm outside the workspace.")
-    if not limits.lowest_mm <= pose.z_mm <= limits.highest_mm:
-        raise RefusedError(
-            "HEIGHT",
-            f"z would be {pose.z_mm:.1f} mm: not within {limits.lowest_mm:.0f} to "
-            f"{limits.highest_mm:.0f} mm.",
-        )
+    refuse_outside(pose, limits)
     lean_rad = tilt_rad(turn_of(pose))
     if not lean_rad <= limits.tilt_rad + SLACK_RAD:
         raise RefusedError(

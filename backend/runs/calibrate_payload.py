@@ -53,6 +53,9 @@ def _weighed(bench: Bench) -> Plan[tuple[FloatArray, FloatArray]]:
     """Return turns (6, 3, 3) and mean untared wrenches (6, 6); refused while a piece is held."""
     if bench.gripper.status().holding:
         raise RefusedError("HOLDING", "A piece is held: put it away, the gripper is weighed empty.")
+    yield from rest(bench, SETTLE_S)
+    # What leaning changes must not look like a contact.
+    bench.sensing.zero_wrench(bench.now_s())
     here = bench.arm.pose(max_age_s=0.2)
     turns, wrenches = [], []
     for at, place in enumerate(_poses(here, rotates=bench.arm.rotates)):

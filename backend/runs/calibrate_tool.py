@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from backend.calibration.board import Edge, fit_edges
 from backend.calibration.estimate import Estimate
 from backend.calibration.tool import GRIPS, estimate_tool
 from backend.core.facts import Progress
@@ -17,9 +16,7 @@ from backend.runs.requests import CalibrateRequest
 from backend.runs.touching import find_height
 
 SIDES = ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0))
-ALONG_MM = (-1.0, 1.0)
-"""Each edge is felt on both sides of its middle, so that a slip in the hand shows."""
-STEPS = GRIPS * len(SIDES) * len(ALONG_MM)
+STEPS = GRIPS * len(SIDES)
 
 
 def measure_tool(bench: Bench, request: CalibrateRequest) -> Plan[Estimate]:
@@ -40,12 +37,10 @@ def measure_tool(bench: Bench, request: CalibrateRequest) -> Plan[Estimate]:
 
 def _felt_centre(bench: Bench, bottom: FloatArray, start_mm: float, grip: int) -> Plan[FloatArray]:
     """Return where the hand stands with the face over the centre of the bottom (2,)."""
-    edges: list[Edge] = []
-    for axis, side in SIDES:
-        for off_mm in ALONG_MM:
-            yield Checkpoint()
-            done = (grip * len(SIDES) * len(ALONG_MM)) + len(edges)
-            yield Progress(bench.now_s(), done, STEPS, f"grip {grip + 1} of {GRIPS}")
-            edge = yield from felt_edge(bench, bottom, (axis, side, off_mm), start_mm)
-            edges.append(edge)
-    return np.asarray(fit_edges(edges, yaw=False).x[:2])
+    between = np.zeros(2)
+    for at, (axis, side) in enumerate(SIDES):
+        yield Checkpoint()
+        yield Progress(bench.now_s(), grip * len(SIDES) + at, STEPS, f"grip {grip + 1} of {GRIPS}")
+        edge = yield from felt_edge(bench, bottom, (axis, side, 0.0), start_mm)
+        between[axis] += 0.5 * edge.at_mm
+    return between

@@ -72,8 +72,8 @@ def touched_mm(
 ) -> Plan[float | None]:
     """Descend at ``place`` (2,) from ``start_mm``; return the height of contact, None without one.
 
-    Without contact it goes ``below_mm`` below the usual height of contact. The arm ends where the
-    descent began.
+    Without contact it goes ``below_mm`` below the usual height of contact. The arm ends at
+    ``start_mm``.
     """
     probe = bench.settings.probe
     x_mm, y_mm = place.tolist()
@@ -101,7 +101,9 @@ def touched_mm(
             raise
     height_mm = None if onset_s is None else _height_mm(bench, onset_s)
     yield PhaseEntered(bench.now_s(), "lift", 0)
-    up = bench.arm.move_to(Pose(x_mm, y_mm, start_mm), probe.travel_mm_s)
+    # Straight up from where the contact has pushed the arm: sideways it would drag.
+    here = bench.arm.pose(max_age_s=0.2)
+    up = bench.arm.move_to(Pose(here.x_mm, here.y_mm, start_mm), probe.travel_mm_s)
     yield from motion_done(up, MOVE_S, "the arm to lift")
     return height_mm
 

@@ -1,0 +1,116 @@
+"""The simulated bench of one scene without cameras, for plans that only feel: no picture is drawn.
+
+Arm, gripper, wrist, interlock and engine are the real ones.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+
+from backend.assembly import make_scene
+from backend.config.method import ProbeSettings, StackSettings
+from backend.config.simulation import SimulationSettings
+from backend.core.facts import Fact
+from backend.core.flow import FINGERS, FloatArray, Pose
+from backend.core.hub import Hub
+from backend.core.hush import Hush
+from backend.core.stream import SampleStream, Stream
+from backend.devices.guarded import GuardedArm, GuardedGripper
+from backend.devices.interlock import Interlock, Limits
+from backend.devices.sim.bench import BenchStreams, SimulatedBench
+from backend.objects.catalogue import load_catalogue
+from backend.runs.bench import Bench, NoModel
+from backend.runs.engine import Engine
+from backend.runs.gate import Gate
+from backend.runs.plan import Plan
+from backend.runs.requests import SceneChoice
+from backend.runs.store import RunStore
+from backend.sensing.live import LiveSensing, RawStreams
+from backend.sensing.tare import gripper_payload
+from backend.simulation.conditions import true_offset_mm
+from backend.simulation.holding import Holding, start_command_mm
+
+BRISK = StackSettings(probe=ProbeSettings(start_height_mm=1.0, travel_mm_s=50.0, approach_mm_s=4.0))
+"""Short ways: a touch takes less than a second of the bench's time."""
+STEP_US = 20_000
+
+
+class BlindBench:
+    """One scene with the piece in its jig; ``run`` drives a plan to its end."""
+
+    def __init__(
+        self,
+        choice: SceneChoice,
+        preset: str = "mixed",
+        changes: Mapping[str, object] = MappingProxyType({}),
+    ) -> None:
+        settings = SimulationSettings.model_validate(
+            {"preset": preset, "cycle_us": STEP_US, **changes}
+        )
+        scene = make_scene(load_catalogue(), choice, settings)
+        streams = BenchStreams.new()
+        self.simulated = SimulatedBench(scene, streams=streams)
+        for name, device in self.simulated.devices.items():
+            if not name.startswith("tactile"):
+                device.connect(1.0, threading.Event())
+        self.facts: list[Fact] = []
+        hub, self.interlock = Hub(), Interlock(Limits(contact_speed_mm_s=4.0))
+        hub.subscribe(self.facts.append)
+        now_s = self.simulated.clock.now_s
+        self.engine = Engine(hub, self.interlock, now_s)
+        wrench = SampleStream("wrench", 6, 60_000)
+        payload = gripper_payload(settings.wrist.payload_kg, settings.wrist.payload_com_mm)
+        raw = RawStreams(streams.frames, streams.samples, streams.poses, streams.commands)
+        fields = {finger: Stream(f"markers_{finger}", 8) for finger in FINGERS}
+        self.sensing = LiveSensing(raw, fields, wrench, payload)
+
+        def press_n() -> float:
+            return self.sensing.press_n(now_s(), max_age_s=0.2)
+
+        def surface_mm() -> float:
+            return scene.piece.grip_height_mm or 0.0
+
+        self.bench = Bench(
+            now_s=now_s,
+            arm=GuardedArm(self.simulated.arm, self.interlock, now_s, press_n, surface_mm),
+            gripper=GuardedGripper(self.simulated.gripper, self.interlock, now_s),
+            interlock=self.interlock,
+            sensing=self.sensing,
+            estimator=NoModel(),
+            piece=scene.piece,
+            bottom="+".join(choice.bottoms),
+            store=RunStore(None, {}),
+            gate=Gate(),
+            settings=BRISK,
+            scoring=None,
+            wall_s=time.perf_counter,
+            probe_count=lambda: 0,
+            felt_count=lambda: 0,
+            hush=Hush(),
+            outline=scene.surface,
+            jig=Pose(*start_command_mm(scene).tolist()),
+        )
+        self.centres_mm: list[FloatArray] = []
+        """Per grip, where the hand truly has to be for the face to lie over the bottom's centre."""
+        self._held: Holding | None = None
+        self._advance()
+
+    def run(self, plan: Callable[[Bench], Plan[object]]) -> object:
+        """Return the value of ``plan``; raises what ended it."""
+        self.interlock.renew_lease(self.bench.now_s())
+        return self.engine.run(plan(self.bench), self._advance)
+
+    def _advance(self) -> None:
+        self.simulated.advance(STEP_US)
+        self.sensing.update()
+        holding = self.simulated._world.holding
+        if holding is not None and holding is not self._held:
+            still = replace(holding.conditions, label_error_mm=np.zeros((1, 2)))
+            self.centres_mm.append(-true_offset_mm(np.zeros((1, 2)), still)[0])
+        self._held = holding

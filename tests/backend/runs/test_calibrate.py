@@ -1,0 +1,125 @@
+"""What the plans measure on the simulated bench is what the bench was built with."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from backend.calibration.estimate import Estimate
+from backend.core.faults import RefusedError
+from backend.devices.sim.arm import SimArm
+from backend.objects.shapes import circle, rectangle, regular, square
+from backend.runs import touching
+from backend.runs.calibrate_board import along_edges, measure_board, middle_of_overlap
+from backend.runs.calibrate_payload import measure_payload, measure_wrist
+from backend.runs.calibrate_tool import measure_tool
+from backend.runs.motions import take_piece
+from backend.runs.requests import CalibrateRequest
+from tests.backend.runs.blind_bench import BlindBench
+
+
+@pytest.fixture
+def near(monkeypatch) -> None:
+    """Look for edges close to where they should be: fewer touches."""
+    monkeypatch.setattr(touching, "SEARCH_MM", 0.8)
+
+
+def measured(blind: BlindBench, measure, request: CalibrateRequest) -> Estimate:
+    found = blind.run(lambda bench: measure(bench, request))
+    assert isinstance(found, Estimate)
+    return found
+
+
+def test_a_leaning_hand_weighs_the_gripper() -> None:
+    request = CalibrateRequest("payload", seed=3)
+    wrist = {"payload_kg": 1.2, "payload_com_mm": (4.0, -3.0, 50.0)}
+    blind = BlindBench(request.scene(), changes={"wrist": wrist})
+    found = measured(blind, measure_payload, request)
+    assert found.acceptable
+    truth = {"mass_kg": 1.2, "com_x_mm": 4.0, "com_y_mm": -3.0, "com_z_mm": 50.0 - 120.0}
+    for quantity in found.quantities[:4]:
+        assert abs(quantity.value - truth[quantity.name]) < 4.0 * quantity.sigma + 0.01
+    # Level again, and clear of everything.
+    assert blind.bench.arm.pose(1.0).rx_rad == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_turned_sensor_is_found_by_the_weight() -> None:
+    request = CalibrateRequest("wrist", seed=3)
+    yaw = math.radians(5.0)
+    blind = BlindBench(request.scene(), changes={"wrist": {"yaw_rad": yaw}})
+    found = measured(blind, measure_wrist, request)
+    assert found.value("yaw_rad") == pytest.approx(yaw, abs=4.0 * found.quantities[0].sigma)
+    assert "5.0 degrees" in found.obstacle
+
+
+def test_an_arm_that_keeps_level_gives_what_it_can_and_says_so(monkeypatch) -> None:
+    monkeypatch.setattr(SimArm, "rotates", property(lambda _self: False))
+    request = CalibrateRequest("payload")
+    blind = BlindBench(request.scene())
+    found = measured(blind, measure_payload, request)
+    assert found.value("mass_kg") == pytest.approx(1.5, abs=0.02)
+    assert "height" in found.note
+    with pytest.raises(RefusedError, match="CANNOT-TURN"):
+        measured(BlindBench(request.scene()), measure_wrist, request)
+
+
+def test_a_held_piece_is_not_weighed_as_gripper() -> None:
+    request = CalibrateRequest("payload")
+    blind = BlindBench(request.scene())
+
+    def grip_first(bench):
+        yield from take_piece(bench)
+        return (yield from measure_payload(bench, request))
+
+    with pytest.raises(RefusedError, match="HOLDING"):
+        blind.run(grip_first)
+
+
+def test_the_board_is_where_the_bench_was_built_with_it(near) -> None:
+    request = CalibrateRequest("board", seed=5, origin_mm=(0.3, -0.2))
+    blind = BlindBench(request.scene())
+    found = measured(blind, measure_board, request)
+    assert found.residual <= found.limit
+    at_mm = np.array([found.value("x_mm"), found.value("y_mm")])
+    assert np.abs(at_mm - blind.centres_mm[0]).max() <= 0.12
+    # The simulated face touches at one height wherever it is.
+    for slope in ("slope_x_rad", "slope_y_rad"):
+        assert abs(found.value(slope)) < 0.02
+    assert found.value("yaw_rad") == pytest.approx(0.0, abs=0.015)
+    assert not blind.bench.gripper.status().holding
+
+
+def test_the_face_is_found_in_the_hand_over_three_grips(near) -> None:
+    request = CalibrateRequest("tool", bottom="circle15", seed=5)
+    blind = BlindBench(request.scene())
+    found = measured(blind, measure_tool, request)
+    assert found.acceptable
+    face_mm = np.array([found.value("face_x_mm"), found.value("face_y_mm")])
+    assert len(blind.centres_mm) == 3
+    assert np.abs(face_mm + np.mean(blind.centres_mm, axis=0)).max() <= 0.12
+
+
+def test_a_bottom_that_is_not_there_is_refused() -> None:
+    request = CalibrateRequest("board", origin_mm=(40.0, 0.0))
+    with pytest.raises(RefusedError, match="ORIGIN-FAR"):
+        measured(BlindBench(request.scene()), measure_board, request)
+
+
+def test_edges_are_felt_where_one_of_both_outlines_runs_along_the_other() -> None:
+    round_on_square = along_edges(circle(15.0), rectangle(12.0, 28.0))
+    assert (round_on_square.mm, round_on_square.yaw_of) == ((12.0, 4.0), "board")
+    assert along_edges(square(30.0), circle(10.0)).yaw_of == "piece"
+    assert along_edges(square(40.0), square(20.0)).mm == (8.0, 8.0)
+    for face, bottom in (
+        (circle(15.0), circle(20.0)),
+        (square(15.0), square(15.0)),
+        (circle(15.0), regular(6, 20.0)),
+    ):
+        assert along_edges(face, bottom).yaw_of == ""
+
+
+def test_the_middle_of_an_overlap_is_its_centroid() -> None:
+    middle = middle_of_overlap(square(10.0), square(10.0), np.array([4.0, -2.0]))
+    np.testing.assert_allclose(middle, [2.0, -1.0], atol=1e-6)

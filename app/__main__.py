@@ -16,6 +16,8 @@ def parser() -> argparse.ArgumentParser:
                       help="start in this theme; system: as the desktop")  # fmt: skip
     made.add_argument("--page", choices=("operate", "collect", "train", "stack", "review"),
                       help="open with this workspace in front")  # fmt: skip
+    made.add_argument("--bench", metavar="FILE", type=Path,
+                      help="lab file, or settings of the simulated bench (TOML)")  # fmt: skip
     made.add_argument("--replay", metavar="RUN", type=Path, help="review this recorded run")
     made.add_argument("--reset-layout", action="store_true", help="forget the window settings")
     made.add_argument("--size", metavar="WxH", type=_size, help="size of the window, in pixels")

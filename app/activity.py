@@ -28,12 +28,21 @@ def moving(link: Link) -> bool:
     return mode is not None and mode().robot_mode is RobotMode.MOVING
 
 
+def not_set(link: Link) -> str:
+    """Return why there is no scene to move in, "" where that does not matter."""
+    if link.connection is not None:
+        if link.connection.busy:
+            return "The devices are being connected"
+        return "Connect the bench first (Ctrl+L)"
+    return "" if link.devices else "The bench is being prepared"
+
+
 def why_no_run(link: Link) -> str:
     """Return why no run may start although none is active, "" if one may."""
     if link.interlock.latched:
         return "Press Reset first"
-    if not link.devices:
-        return "The bench is being prepared"
+    if link.hand is None and not_set(link):
+        return not_set(link)
     if link.hand is not None and link.hand.pressing_n:
         return "In contact: lift first (jog +Z in Operate)"
     return ""

@@ -15,6 +15,8 @@ from app.activity import moving, unattended
 from app.appearance import Appearance
 from app.arrival import Arrival, failed_card
 from app.chips import ChipsPresenter
+from app.connect.banner import words_of
+from app.connect.panels import BenchPanels
 from app.desk_dialogs import DeskDialogs
 from app.error_hooks import ErrorBox
 from app.fact_cards import clock, tell
@@ -47,6 +49,8 @@ MOST_PARTS = 8
 
 class TouchdownApp(QObject):
     """Owns window, workspaces and pump. The bench arrives later, from a thread."""
+
+    panels: BenchPanels | None = None
 
     def __init__(
         self, application: QApplication, box: ErrorBox, settings_file: Path, runs: Path
@@ -115,7 +119,9 @@ class TouchdownApp(QObject):
         self.inspect = InspectPresenter(link, self.bar, self.window)
         for ws in self.workspaces.values():
             ws.attach(link)
-        self.window.show_simulated(link.simulated)
+        self.window.show_bench(words_of(link))
+        self.panels = BenchPanels(link, self.window, self.cards)
+        self.panels.open_connect()
         self._speed.attach(link)
         self.bar.show_hardware_stop("none" if link.simulated else "unknown")
         link.open()
@@ -248,6 +254,7 @@ class TouchdownApp(QObject):
         return [
             *pages,
             Command("connect", "Connect the bench", "Ctrl+L", self._connect_again),
+            Command("limits", "Limits of motion and force", "", self._show_limits),
             Command("layout", "Reset the layout", "Ctrl+0", self._reset_layout),
             Command("layouts", "Layouts of this workspace", "Ctrl+Alt+L", self._show_layouts),
             Command("lock", "Lock or unlock the layout", "", lambda: self.layouts.toggle_lock()),
@@ -272,8 +279,14 @@ class TouchdownApp(QObject):
             )
             button.clicked.connect(self.actions.action(name).trigger)
 
+    def _show_limits(self) -> None:
+        if self.panels is not None:
+            self.panels.limits.open()
+
     def _connect_again(self) -> None:
-        if self.link is None and self._arrival.again():
+        if self.panels is not None:
+            self.panels.open_connect()
+        elif self.link is None and self._arrival.again():
             self._show_connecting()
 
     def _reset_layout(self) -> None:
@@ -376,6 +389,8 @@ class TouchdownApp(QObject):
         if self._chips.draw():
             if self.inspect is not None:
                 self.inspect.draw()
+            if self.panels is not None:
+                self.panels.draw()
             pace = f"{self.pace:.2f}\N{MULTIPLICATION SIGN} real time" if self.pace else ""
             self.window.show_right(pace)
         self.bar.pill.show_state(pill_of(self.link))

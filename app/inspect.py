@@ -45,7 +45,11 @@ class InspectPresenter:
     def reconnect(self) -> None:
         """Connect the shown device anew, on a thread: a cable may take seconds to answer."""
         device = None if self.sheet is None else self._link.devices.get(self.sheet.key)
-        if device is not None and not self._connecting and not busy(self._link):
+        connection = self._link.connection
+        if device is not None and connection is not None and not busy(self._link):
+            if not connection.busy:
+                connection.begin((device.name,))
+        elif device is not None and not self._connecting and not busy(self._link):
             self._connecting = True
             threading.Thread(
                 target=self._reconnect, args=(device,), name="reconnect", daemon=True

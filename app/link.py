@@ -6,14 +6,16 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from backend.catalogue.dataset import Dataset
+from backend.config.bench_facts import BenchFacts
 from backend.core.facts import Decision
 from backend.core.flow import Finger, MarkerField, TactileFrame
 from backend.core.hub import Hub
 from backend.core.hush import Hush
 from backend.core.stream import SampleStream, Stream
-from backend.devices.interlock import Interlock
+from backend.devices.interlock import Interlock, Limits
 from backend.devices.protocols import Device
 from backend.objects.catalogue import Catalogue
+from backend.rig.connection import Connection
 from backend.runs.hand import Hand
 from backend.runs.requests import Request, RunStatus
 
@@ -35,6 +37,13 @@ class Link(Protocol):
     """A live bench. Every call returns at once, except ``close`` (bounded)."""
 
     simulated: bool
+    facts: BenchFacts
+    """What its recordings say of it; the window calls it by the same mode."""
+    name: str
+    """Name of the lab; "" for a simulated bench."""
+    limits_source: str
+    connection: Connection | None
+    """How the devices are connected, where that is done by hand."""
     hub: Hub
     interlock: Interlock
     hush: Hush
@@ -82,6 +91,15 @@ class Link(Protocol):
 
     def decide(self, decision: Decision) -> None:
         """Keep, discard, redo, flag or skip the newest collected episode; never waits."""
+
+    def leave_scene(self) -> None:
+        """Let nothing move until a scene is set again; raises ``RefusedError``."""
+
+    def home_gripper(self) -> None:
+        """Home the gripper, whose jaws must be empty; raises ``RefusedError``."""
+
+    def change_limits(self, limits: Limits, person: str) -> None:
+        """Take other limits; raises ``RefusedError`` or ``InputError``."""
 
     def open(self) -> None:
         """Start the live thread."""

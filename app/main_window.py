@@ -20,11 +20,12 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from app.connect.banner import BenchWords
 from widgets.elided import ElidedLabel
 from widgets.fault_cards import FaultCards
 from widgets.icons import icon
 from widgets.panel import label
-from widgets.stripes import SimulatedBanner
+from widgets.stripes import BenchBanner
 from widgets.theme import Theme, ui_font
 from widgets.top_bar import TopBar
 
@@ -60,7 +61,9 @@ class MainWindow(QMainWindow):
         named = [(tab.name, tab.title) for tab in pages]
         self.rail = {name: _rail_button(text) for name, text in (*named, *FOOT_OF_RAIL)}
         self._message, self._right = ElidedLabel("muted"), label("", "small")
-        self._banner = SimulatedBanner(theme)
+        self._banner = BenchBanner(theme)
+        # Until there is a bench nobody knows what to call it.
+        self._banner.hide()
         self._arrange(bar, cards)
         self.setMinimumSize(MINIMUM)
         self.resize(USUAL)
@@ -135,10 +138,11 @@ class MainWindow(QMainWindow):
         """Show figures at the right of the foot."""
         self._right.setText(text)
 
-    def show_simulated(self, simulated: bool) -> None:
-        """Show the banner and say so in the title."""
-        self._banner.setVisible(simulated)
-        self.setWindowTitle("Touchdown (SIMULATED)" if simulated else "Touchdown")
+    def show_bench(self, words: BenchWords) -> None:
+        """Call the bench by its name in banner and title."""
+        self._banner.show_bench(words.banner, words.tip, words.striped)
+        self._banner.show()
+        self.setWindowTitle(words.title)
 
     def fit_to_theme(self) -> None:
         """Draw the rail's icons in the theme's colours; larger text scrolls, it is never cut."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 
+from app.connect.banner import words_of
 from app.link import Link
 from backend.devices.jog_axes import signed_name, turns
+from backend.rig.connection import Connection
 from backend.runs.requests import RunState, RunStatus
 from widgets.state_pill import Colour, PillState, Shape
 
@@ -22,13 +24,15 @@ _WORDS: dict[RunState, tuple[str, Shape, Colour]] = {
 
 def pill_of(link: Link) -> PillState:
     """Return what the pill shows for this bench now."""
-    note = "simulated" if link.simulated else ""
+    note = words_of(link).note
     if not link.devices:
         return PillState("NO DEVICES", "ring", "grey", note)
     if link.interlock.latched:
         if link.interlock.faults:
             return PillState("FAULT", "square", "red", "press Reset")
         return PillState("STOPPED", "square", "blue", "press Reset")
+    if link.connection is not None and (standing := _standing(link.connection)):
+        return standing
     by_hand = _by_hand(link)
     if by_hand:
         return PillState("JOG", "play", "green", by_hand)
@@ -42,6 +46,18 @@ def pill_of(link: Link) -> PillState:
         return PillState("YOUR TURN", "triangle", "blue", "approve or decline")
     word, shape, colour = _WORDS[status.state]
     return PillState(word, shape, colour, _with(note, status))
+
+
+def _standing(connection: Connection) -> PillState | None:
+    """Return how far the devices of a lab are connected, None if all are."""
+    missing, count = connection.missing(), len(connection.devices)
+    if connection.busy:
+        return PillState("CONNECTING", "ring", "blue", f"{count - len(missing)} of {count}")
+    if len(missing) == count:
+        return PillState("NO DEVICES", "ring", "grey", "connect: Ctrl+L")
+    if missing:
+        return PillState("NOT READY", "triangle", "blue", f"{len(missing)} not connected")
+    return None
 
 
 def _by_hand(link: Link) -> str:

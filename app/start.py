@@ -6,7 +6,9 @@ import argparse
 import gc
 import json
 import sys
+from functools import partial
 from importlib.util import find_spec
+from pathlib import Path
 
 from PySide6.QtCore import QObject, QTimer
 from PySide6.QtWidgets import QApplication
@@ -69,23 +71,41 @@ def _show(main: TouchdownApp, args: argparse.Namespace) -> None:
         review.presenter.open(args.replay)
     # Whoever asks for something at the start wants that, not a tour.
     main.tour_due = not (args.grab or args.measure or args.page or args.replay)
-    main.connect_bench(live_bench)
+    main.connect_bench(live_bench if args.bench is None else partial(bench_of, args.bench))
 
 
-def live_bench() -> Link:
+def live_bench(settings: Path | None = None) -> Link:
     """Build the simulated bench with a first scene to look at (on the connecting thread)."""
     # Imported here, on the connecting thread: the window is there meanwhile.
-    from backend.assembly import simulated_session
+    from backend.assembly import SimulatedBenchChoice, simulated_session
     from backend.learning.registry import Registry
     from backend.runs.requests import SceneChoice
     from backend.session import Keep
 
     session = simulated_session(
+        SimulatedBenchChoice(file=settings),
         keep=Keep(data_folder() / "runs"),
         animate=_can_animate(),
         registry=Registry(models_folder()),
     )
     session.prepare(SceneChoice())
+    settle_memory()
+    return session
+
+
+def bench_of(file: Path) -> Link:
+    """Build the bench of a file: a lab's devices, not yet connected, or a simulated bench."""
+    from backend.config.lab import is_lab_file
+
+    if not is_lab_file(file):
+        return live_bench(file)
+    from backend.lab import LabChoice, lab_session
+    from backend.learning.registry import Registry
+    from backend.session import Keep
+
+    session = lab_session(
+        LabChoice(file), keep=Keep(data_folder() / "runs"), registry=Registry(models_folder())
+    )
     settle_memory()
     return session
 

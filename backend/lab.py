@@ -93,7 +93,7 @@ class _LabBench:
 
         connection.when_ready = set_first
         limits = Limits(**settings.limits.model_dump())
-        session.join(connection, settings.name, limits)
+        session.join(connection, settings.name, limits, str(self._lab.path))
 
     def make_stage(self, choice: SceneChoice, raw: RawStreams) -> Stage:
         """Return the devices as a scene: what stands on the bench is what the operator says."""

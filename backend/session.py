@@ -99,6 +99,7 @@ class Session:
         self._make_stage, self._check, self.catalogue = make_stage, check, catalogue
         self._settings, self.facts = settings, facts
         self.simulated, self.name = facts.mode == "simulated", ""
+        self.limits_source = "the program itself"
         self.connection: Connection | None = None
         """Devices that outlive every scene (None: each scene has its own)."""
         self.hub, self.interlock, self.gate = Hub(), Interlock(), Gate()
@@ -197,9 +198,9 @@ class Session:
         """Set a scene without starting a run, so that a live view has something to show."""
         self._set_scene(choice)
 
-    def join(self, connection: Connection, name: str, limits: Limits) -> None:
+    def join(self, connection: Connection, name: str, limits: Limits, source: str) -> None:
         """Take the devices of lab ``name``, which outlive every scene; STOP reaches them now."""
-        self.connection, self.name = connection, name
+        self.connection, self.name, self.limits_source = connection, name, source
         self.interlock.change_limits(limits, self.clock_s())
         stop_with(connection, self.interlock)
 

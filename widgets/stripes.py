@@ -1,4 +1,4 @@
-"""The striped sign that this bench is simulated: nothing here moves a real robot."""
+"""The sign of the bench: striped where nothing moves a real robot, plain where hardware does."""
 
 from __future__ import annotations
 
@@ -9,15 +9,22 @@ from PySide6.QtWidgets import QSizePolicy, QWidget
 from widgets.theme import Theme, ui_font
 
 
-class SimulatedBanner(QWidget):
-    """Diagonal stripes with the word on a plain ground."""
+class BenchBanner(QWidget):
+    """Diagonal stripes with the word on a plain ground; without stripes for real devices."""
 
     def __init__(self, theme: Theme, word: str = "SIMULATED BENCH") -> None:
         super().__init__()
-        self._theme, self._word = theme, word
+        self._theme, self._word, self._striped = theme, word, True
         self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
-        self.setAccessibleName("Simulated bench: no hardware is connected")
-        self.setToolTip("No hardware is connected. Everything you see is computed.")
+        self.show_bench(word, "No hardware is connected. Everything you see is computed.", True)
+
+    def show_bench(self, word: str, tip: str, striped: bool) -> None:
+        """Call the bench ``word``; ``striped``: no hardware moves."""
+        self._word, self._striped = word, striped
+        self.setAccessibleName(f"{word}: {tip}")
+        self.setToolTip(tip)
+        self.updateGeometry()
+        self.update()
 
     def sizeHint(self) -> QSize:
         """Return room for the word and some stripes on either side."""
@@ -30,6 +37,13 @@ class SimulatedBanner(QWidget):
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         t = self._theme.tokens
+        painter.setFont(ui_font(self._theme.scale, 0.86, 600))
+        if not self._striped:
+            painter.setPen(QPen(t.colour("border")))
+            painter.drawRect(self.rect().adjusted(0, 0, -1, -1))
+            painter.setPen(QPen(t.colour("text")))
+            painter.drawText(self.rect(), int(Qt.AlignmentFlag.AlignCenter), self._word)
+            return
         painter.fillRect(self.rect(), t.colour("pill_yellow"))
         painter.setPen(Qt.PenStyle.NoPen)
         painter.setBrush(t.colour("on_light"))
@@ -41,5 +55,4 @@ class SimulatedBanner(QWidget):
         painter.setBrush(t.colour("pill_yellow"))
         painter.drawRect(plate)
         painter.setPen(QPen(t.colour("on_light")))
-        painter.setFont(ui_font(self._theme.scale, 0.86, 600))
         painter.drawText(plate, int(Qt.AlignmentFlag.AlignCenter), self._word)

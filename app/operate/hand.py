@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from datetime import datetime
 
-from app.activity import busy
+from app.activity import busy, not_set
 from app.cards import refusal_card
 from app.error_hooks import log
 from app.link import Link
@@ -144,7 +144,7 @@ class HandPresenter:
     def why_not(self) -> str:
         """Return why nothing may be moved by hand now, "" if it may."""
         if self._link.hand is None:
-            return "The bench is being prepared"
+            return not_set(self._link) or "The bench is being prepared"
         if self._link.interlock.latched:
             return "Press Reset first"
         return "A run is going on" if busy(self._link) else ""

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from backend.config.bench_facts import BenchFacts
 from backend.core.facts import (
     ActionChosen,
     BeliefUpdated,
@@ -99,6 +100,8 @@ class StandInBench:
     """Satisfies ``app.link.Link``."""
 
     simulated = True
+    facts = BenchFacts(mode="simulated")
+    name, limits_source, connection = "", "the program itself", None
     hand = None
     dataset = None
 
@@ -138,6 +141,9 @@ class StandInBench:
             raise RefusedError("LATCHED", "The bench is stopped: press Reset first.")
         self.started.append(request)
         self.set_state(RunState.RUNNING)
+
+    def change_limits(self, limits, person):
+        self.interlock.change_limits(limits, self.clock_s())
 
     def stop(self):
         self.stops += 1

@@ -1,0 +1,124 @@
+"""Presenter of the limits: shown as they hold, changed on a second word, and on record."""
+
+from __future__ import annotations
+
+import getpass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from datetime import datetime
+
+from pydantic import ValidationError
+from PySide6.QtWidgets import QWidget
+
+from app.cards import refusal_card
+from app.connect.limits_sheet import LimitRow, LimitsSheet
+from app.link import Link
+from backend.config.lab import LimitSettings
+from backend.core.faults import InputError, RefusedError
+from backend.devices.interlock import Limits
+from backend.runs.limit_journal import changed
+from widgets.fault_cards import CardText, FaultCards
+
+TITLES = {
+    "reach_mm": "Reach about the bench's axis",
+    "least_x_mm": "Box, least x",
+    "most_x_mm": "Box, most x",
+    "least_y_mm": "Box, least y",
+    "most_y_mm": "Box, most y",
+    "lowest_mm": "Lowest z",
+    "highest_mm": "Highest z",
+    "speed_mm_s": "Speed in air",
+    "jog_mm_s": "Speed by hand",
+    "contact_speed_mm_s": "Speed near contact",
+    "recovery_mm_s": "Speed in recovery",
+    "near_mm": "Near the surface below",
+    "contact_n": "Counts as contact",
+    "jog_guard_n": "Guard while jogging",
+    "press_n": "Press",
+    "probe_n": "Nominal press of a probe",
+    "trip_n": "Stops motion, force (two samples)",
+    "trip_at_once_n": "Stops motion, force (one sample)",
+    "trip_nm": "Stops motion, moment",
+    "wrench_age_s": "Oldest wrench",
+    "frame_age_s": "Oldest picture",
+}
+"""Every limit, in the order of the sheet."""
+UNITS = {"mm_s": "mm/s", "nm": "N\N{MIDDLE DOT}m", "mm": "mm", "n": "N", "s": "s"}
+
+
+class LimitsPresenter:
+    """Keeps one sheet; every bench has limits."""
+
+    def __init__(
+        self,
+        link: Link,
+        window: QWidget,
+        cards: FaultCards,
+        person: Callable[[], str] = getpass.getuser,
+    ) -> None:
+        self._link, self._window, self._cards, self._person = link, window, cards, person
+        self._first = link.interlock.limits
+        self._said = ""
+        self.sheet: LimitsSheet | None = None
+
+    def open(self) -> None:
+        """Show the limits as they hold now."""
+        if self.sheet is None:
+            self.sheet = LimitsSheet(self._window, self._offer)
+        self._show()
+        self.sheet.show()
+        self.sheet.raise_()
+
+    def _show(self) -> None:
+        assert self.sheet is not None
+        source = self._said or f"From {self._link.limits_source}."
+        self.sheet.show_rows(rows_of(self._link.interlock.limits), source)
+
+    def _offer(self, values: Mapping[str, float]) -> str:
+        """Ask whether to take ``values``; return why they cannot be taken, "" if they can."""
+        try:
+            wanted = Limits(**LimitSettings(**values).model_dump())
+        except ValidationError as error:
+            return error.errors()[0]["msg"].removeprefix("Value error, ")
+        pairs = changed(self._link.interlock.limits, wanted)
+        if not pairs:
+            return "Nothing is changed."
+        told = "; ".join(
+            f"{TITLES[name]} {old:g} \N{RIGHTWARDS ARROW} {new:g} {unit_of(name)}"
+            for name, (old, new) in pairs.items()
+        )
+        assert self.sheet is not None
+        self.sheet.question.ask(
+            f"Change {told}? It holds until the program ends, and goes on record.",
+            "Keep", "Change", lambda: self._take(wanted),
+        )  # fmt: skip
+        return ""
+
+    def _take(self, wanted: Limits) -> None:
+        at, person = f"{datetime.now():%H:%M:%S}", self._person()
+        try:
+            self._link.change_limits(wanted, person)
+        except RefusedError as error:
+            self._cards.show_card(refusal_card(error, at))
+        except InputError as error:
+            self._cards.show_card(
+                CardText("LIMITS", error.what, f"In {error.where}.", error.fix, reset=False, at=at)
+            )
+        else:
+            self._cards.pass_on()
+            same = wanted == self._first
+            self._said = (
+                "" if same else (f"From {self._link.limits_source}, changed at {at} by {person}.")
+            )
+        self._show()
+
+
+def rows_of(limits: Limits) -> list[LimitRow]:
+    """Return all limits, with units."""
+    values = asdict(limits)
+    return [LimitRow(name, title, values[name], unit_of(name)) for name, title in TITLES.items()]
+
+
+def unit_of(name: str) -> str:
+    """Return the unit that the name of a limit ends with."""
+    return next(text for ending, text in UNITS.items() if name.endswith(f"_{ending}"))

@@ -1,0 +1,165 @@
+"""Presenter of the Connect panel: looks at the connection, hands the operator's orders on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from datetime import datetime
+
+from PySide6.QtWidgets import QWidget
+
+from app.activity import busy
+from app.cards import refusal_card
+from app.connect.limits import LimitsPresenter
+from app.connect.sheet import ConnectSheet, Intents, RowLook, SheetLook
+from app.link import Link
+from backend.core.faults import RefusedError
+from backend.devices.steps import STEPS
+from backend.rig.connection import Connection, DeviceLine
+from widgets.fault_cards import FaultCards
+from widgets.top_bar import CHIPS
+
+PERIOD_S = 0.1
+TITLES = dict(CHIPS)
+EXTRA = {"": "", "home": "Home", "acknowledge": "Acknowledge"}
+NOTHING_MOVES = "Nothing moves while connecting. The arm is switched on last, and stands."
+
+
+class ConnectPresenter:
+    """Keeps one panel; made where the bench has devices that are connected by hand."""
+
+    def __init__(
+        self,
+        link: Link,
+        connection: Connection,
+        window: QWidget,
+        cards: FaultCards,
+        limits: LimitsPresenter,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._link, self._connection, self._cards, self._now_s = link, connection, cards, now_s
+        intents = Intents(
+            self._connect, connection.cancel, self._disconnect, self._row, self._extra,
+            limits.open,
+        )  # fmt: skip
+        self.sheet = ConnectSheet(window, STEPS, intents)
+        self._drawn_s = float("-inf")
+
+    def open(self) -> None:
+        """Show the panel; shown already, begin to connect, or cancel what goes on."""
+        if not self.sheet.isVisible():
+            self.draw(at_once=True)
+            self.sheet.show()
+            self.sheet.raise_()
+        elif self._connection.busy:
+            self._connection.cancel()
+        else:
+            self._connect()
+
+    def draw(self, *, at_once: bool = False) -> None:
+        """Show how the devices stand, ten times a second while the panel is open."""
+        now_s = self._now_s()
+        if not at_once and (not self.sheet.isVisible() or now_s - self._drawn_s < PERIOD_S):
+            return
+        self._drawn_s = now_s
+        self.sheet.show_look(self._look())
+
+    # -- orders -----------------------------------------------------------------------------------
+
+    def _connect(self) -> None:
+        self._ordered(lambda: self._begin(()))
+
+    def _begin(self, names: tuple[str, ...]) -> None:
+        if self._link.interlock.stopped_by:
+            raise RefusedError("STOPPED", "The bench is stopped: press Reset, then connect.")
+        self._connection.begin(names)
+
+    def _disconnect(self) -> None:
+        self._ordered(lambda: self._leave(()))
+
+    def _leave(self, names: tuple[str, ...]) -> None:
+        # Without one of its devices nothing may move.
+        self._link.leave_scene()
+        self._connection.disconnect(names)
+
+    def _row(self, index: int) -> None:
+        line = self._connection.lines()[index]
+        order = self._leave if line.state == "ready" else self._begin
+        self._ordered(lambda: order((line.name,)))
+
+    def _extra(self, index: int) -> None:
+        needs = self._connection.lines()[index].needs
+        if needs == "home":
+            self.sheet.question.ask(
+                "Homing moves the jaws to their end. Are they empty?",
+                "Not yet",
+                "Home the gripper",
+                lambda: self._ordered(self._link.home_gripper),
+            )
+        elif needs == "acknowledge":
+            self.sheet.question.ask(
+                "Have you looked at the gripper and the piece?", "Not yet", "Acknowledge",
+                lambda: self._ordered(self._connection.acknowledge),
+            )  # fmt: skip
+
+    def _ordered(self, order: Callable[[], None]) -> None:
+        try:
+            order()
+        except RefusedError as error:
+            self._cards.show_card(refusal_card(error, f"{datetime.now():%H:%M:%S}"))
+        else:
+            self._cards.pass_on()
+        self.draw(at_once=True)
+
+    # -- showing ----------------------------------------------------------------------------------
+
+    def _look(self) -> SheetLook:
+        connection, lines = self._connection, self._connection.lines()
+        can = not busy(self._link)
+        rows = tuple(row_of(line, can=can and not connection.busy) for line in lines)
+        kind = "emulated bench" if self._link.facts.mode == "emulated" else "real devices"
+        return SheetLook(
+            f"{self._link.name} ({kind})", self._text(lines), rows, connection.busy, can
+        )
+
+    def _text(self, lines: tuple[DeviceLine, ...]) -> str:
+        ready = sum(line.state == "ready" for line in lines)
+        trouble = self._connection.trouble
+        if trouble is not None:
+            return str(trouble)
+        if self._connection.busy:
+            return f"{ready} of {len(lines)} connected. {NOTHING_MOVES}"
+        if any(line.needs for line in lines):
+            return "The gripper needs you: see its row."
+        if ready == len(lines):
+            return "All devices are ready."
+        return f"{ready} of {len(lines)} connected. {NOTHING_MOVES}"
+
+
+def row_of(line: DeviceLine, *, can: bool) -> RowLook:
+    """Return the look of one device."""
+    failed = line.state == "failed"
+    marks = [
+        "done" if step < line.steps else "open" if step > line.steps else _at(line)
+        for step in range(len(STEPS))
+    ]
+    if failed and line.steps == len(STEPS):
+        # It was connected and is lost: what is missing is its samples.
+        marks[-1] = "failed"
+    text = ""
+    if line.fault is not None:
+        text = f"{line.fault.what} {line.fault.next_step}".strip()
+    elif line.identity is not None:
+        who = line.identity
+        text = f"{who.maker} {who.model}, {who.serial}"
+    order = "disconnect" if line.state == "ready" else "connect"
+    words = {"disconnect": "Disconnect", "connect": "Retry" if failed else "Connect"}
+    return RowLook(
+        TITLES.get(line.name, line.name), line.state, tuple(marks), text,
+        line.fault is not None, order, words[order], can, EXTRA[line.needs],
+    )  # fmt: skip
+
+
+def _at(line: DeviceLine) -> str:
+    """Return the mark of the step that is next."""
+    return {"connecting": "now", "failed": "failed"}.get(line.state, "open")

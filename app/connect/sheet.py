@@ -1,0 +1,197 @@
+"""The Connect panel: each device with its steps, who answers, what failed and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import (
+    QDialog,
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from app.connect.question import QuestionRow
+from widgets.panel import label, rule, set_property
+
+MARKS = {
+    "done": "\N{CHECK MARK}",
+    "now": "\N{HORIZONTAL ELLIPSIS}",
+    "failed": "\N{MULTIPLICATION X}",
+    "open": "\N{MIDDLE DOT}",
+}
+TONES = {"done": "good", "failed": "bad"}
+
+
+@dataclass(frozen=True, slots=True)
+class RowLook:
+    """One device: ``marks`` of its steps (done, now, failed, open), a sentence, its buttons.
+
+    ``order`` is what the first button does: "connect" or "disconnect"; ``extra`` a second one.
+    """
+
+    title: str
+    state: str
+    marks: tuple[str, ...]
+    text: str
+    bad: bool
+    order: str
+    label: str
+    can: bool
+    extra: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SheetLook:
+    """Everything that the panel shows."""
+
+    head: str
+    text: str
+    rows: tuple[RowLook, ...]
+    busy: bool
+    can: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Intents:
+    """What the operator can ask for; rows by index."""
+
+    connect: Callable[[], None]
+    cancel: Callable[[], None]
+    disconnect: Callable[[], None]
+    row: Callable[[int], None]
+    extra: Callable[[int], None]
+    limits: Callable[[], None]
+
+
+@dataclass(slots=True)
+class _Row:
+    name: QLabel
+    state: QLabel
+    marks: list[QLabel]
+    text: QLabel
+    button: QPushButton
+    extra: QPushButton
+    shown: RowLook | None = field(default=None)
+
+
+class ConnectSheet(QDialog):
+    """Not modal: STOP and every page stay at hand."""
+
+    def __init__(self, parent: QWidget, steps: Sequence[str], intents: Intents) -> None:
+        super().__init__(parent)
+        self.setModal(False)
+        self._steps, self._intents = tuple(steps), intents
+        self.head, self.text = label("", "head"), label("", wrap=True)
+        self.question = QuestionRow()
+        self._grid = QGridLayout()
+        self._grid.setHorizontalSpacing(16)
+        self._grid.setVerticalSpacing(8)
+        self._grid.setColumnStretch(len(self._steps) + 2, 1)
+        self._rows: list[_Row] = []
+        self.connect_all = QPushButton("Connect all")
+        self.connect_all.setProperty("role", "primary")
+        self.cancel, self.disconnect_all = QPushButton("Cancel"), QPushButton("Disconnect all")
+        self.limits, self._close = QPushButton("Limits"), QPushButton("Close")
+        self._arrange()
+        self._wire()
+
+    def show_look(self, look: SheetLook) -> None:
+        """Show how the bench stands now."""
+        self.head.setText(look.head)
+        self.text.setText(look.text)
+        if len(look.rows) != len(self._rows):
+            self._build(look.rows)
+        for row, shown in zip(self._rows, look.rows, strict=True):
+            if row.shown != shown:
+                row.shown = shown
+                self._show_row(row, shown)
+        self.connect_all.setEnabled(look.can and not look.busy)
+        self.cancel.setEnabled(look.busy)
+        self.disconnect_all.setEnabled(look.can and not look.busy)
+
+    def row(self, index: int) -> tuple[str, str, QPushButton, QPushButton]:
+        """Return (state, sentence, first button, second button) of a device."""
+        row = self._rows[index]
+        return row.state.text(), row.text.text(), row.button, row.extra
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _arrange(self) -> None:
+        self.setWindowTitle("Connect")
+        foot = QHBoxLayout()
+        for button in (self.connect_all, self.cancel, self.disconnect_all, self.limits):
+            foot.addWidget(button)
+        foot.addStretch(1)
+        foot.addWidget(self._close)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(18, 14, 18, 14)
+        column.setSpacing(10)
+        column.addWidget(self.head)
+        column.addWidget(self.text)
+        column.addWidget(rule())
+        column.addLayout(self._grid)
+        column.addWidget(self.question)
+        column.addStretch(1)
+        column.addWidget(rule())
+        column.addLayout(foot)
+        self.setMinimumWidth(56 * self.fontMetrics().height())
+
+    def _wire(self) -> None:
+        self.connect_all.setToolTip("One after the other, the arm last; nothing moves")
+        self.cancel.setToolTip("End connecting; what is connected stays so")
+        self.disconnect_all.setToolTip("The arm is switched off first; the gripper keeps its grip")
+        self.connect_all.clicked.connect(self._intents.connect)
+        self.cancel.clicked.connect(self._intents.cancel)
+        self.disconnect_all.clicked.connect(self._intents.disconnect)
+        self.limits.clicked.connect(self._intents.limits)
+        self._close.clicked.connect(self.close)
+        for button in (self.connect_all, self.cancel, self.disconnect_all, self.limits,
+                       self._close):  # fmt: skip
+            button.setAutoDefault(False)
+
+    def _build(self, looks: Sequence[RowLook]) -> None:
+        for column, step in enumerate(self._steps):
+            self._grid.addWidget(label(step, "small"), 0, column + 2)
+        for index, look in enumerate(looks):
+            row = _Row(
+                label(look.title, "title"),
+                label("", "muted"),
+                [label("") for _ in self._steps],
+                label("", wrap=True),
+                QPushButton("Connect"),
+                QPushButton(""),
+            )
+            row.text.setMinimumHeight(2 * self.fontMetrics().height() + 4)
+            row.button.setAutoDefault(False)
+            row.extra.setAutoDefault(False)
+            row.button.clicked.connect(partial(self._intents.row, index))
+            row.extra.clicked.connect(partial(self._intents.extra, index))
+            widgets = (row.name, row.state, *row.marks, row.text, row.extra, row.button)
+            for column, widget in enumerate(widgets):
+                self._grid.addWidget(widget, index + 1, column)
+                if isinstance(widget, QLabel) and widget in row.marks:
+                    self._grid.setAlignment(widget, Qt.AlignmentFlag.AlignHCenter)
+            self._rows.append(row)
+
+    def _show_row(self, row: _Row, look: RowLook) -> None:
+        row.state.setText(look.state)
+        for mark, word, step in zip(row.marks, look.marks, self._steps, strict=True):
+            mark.setText(MARKS[word])
+            mark.setAccessibleName(f"{look.title}, {step}: {word}")
+            set_property(mark, "tone", TONES.get(word, ""))
+        row.text.setText(look.text)
+        set_property(row.text, "tone", "bad" if look.bad else "")
+        row.button.setText(look.label)
+        row.button.setAccessibleName(f"{look.label} {look.title}")
+        row.button.setEnabled(look.can)
+        row.extra.setVisible(bool(look.extra))
+        row.extra.setText(look.extra)
+        row.extra.setAccessibleName(f"{look.extra} {look.title}")
+        row.extra.setEnabled(look.can)

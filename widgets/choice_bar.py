@@ -8,6 +8,7 @@ from PySide6.QtCore import QEvent, QKeyCombination, Qt
 from PySide6.QtGui import QFocusEvent, QKeyEvent, QKeySequence
 from PySide6.QtWidgets import QFrame, QGridLayout, QPushButton, QVBoxLayout, QWidget
 
+from widgets.in_sight import bring_in_sight
 from widgets.panel import label
 
 COLUMNS = 3
@@ -158,6 +159,8 @@ class ChoiceBar(QFrame):
             item = self._grid.takeAt(0)
             widget = item.widget() if item is not None else None
             if widget is not None:
+                # Gone at once: what is deleted later would still be drawn under the new answers.
+                widget.hide()
                 widget.deleteLater()
         columns = COLUMNS if max(map(len, texts), default=0) <= LONG else 2
         for at, (text, word) in enumerate(zip(texts, words, strict=True)):
@@ -167,6 +170,7 @@ class ChoiceBar(QFrame):
             self._grid.addWidget(button, at // columns, at % columns)
         self.show()
         self.setFocus()
+        bring_in_sight(self)
 
 
 def _nothing(_word: str) -> None:

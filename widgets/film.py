@@ -23,6 +23,7 @@ from widgets.tactile_view import IMAGE_H, IMAGE_W, TactileView
 from widgets.theme import Theme
 
 TICK_MS = 33
+UNSEEN = "No picture recorded"
 GROUND = 40
 """Grey of a frame whose picture was not kept."""
 
@@ -64,7 +65,7 @@ class Film(QWidget):
         self.cursor_s = 0.0
         self.views = {finger: TactileView(theme, finger) for finger in FINGERS}
         for view in self.views.values():
-            view.never = view.gone = "No picture recorded"
+            view.never = view.gone = UNSEEN
         self.notes = {finger: label("", "small") for finger in FINGERS}
         grid = QGridLayout(self)
         grid.setContentsMargins(0, 0, 0, 0)
@@ -89,10 +90,20 @@ class Film(QWidget):
         self.take_reel(reel, span_s)
         self.show_cursor(cursor_s)
 
+    def show_none(self) -> None:
+        """Show that there is no probe: neither that it has no pictures."""
+        self.take_reel({}, (0.0, 2.0))
+        for finger, view in self.views.items():
+            self.notes[finger].setText("")
+            view.gone = view.never = "No episode"
+            view.show_age(Age.GONE, 0.0, "")
+
     def take_reel(self, reel: Reel, span_s: tuple[float, float]) -> None:
         """Take another probe; the next cursor shows it."""
         self.stop()
         self._reel, self._span_s = reel, span_s
+        for view in self.views.values():
+            view.never = view.gone = UNSEEN
 
     def show_cursor(self, t_s: float) -> None:
         """Show what each finger saw last at this time."""

@@ -49,6 +49,11 @@ def draw_bottom(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
         painter.drawLine(centre - arm, centre + arm)
 
 
+def legend_left(scene: OffsetScene) -> bool:
+    """Whether sources are named at the upper left: where the face is not."""
+    return scene.offset_mm is not None and scene.offset_mm[0] > 0
+
+
 def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Theme) -> None:
     """Draw where other sources put the face: outline, uncertainty, and the name of the source."""
     painter.setBrush(Qt.BrushStyle.NoBrush)
@@ -60,7 +65,7 @@ def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
         painter.setPen(pen)
         painter.drawPolygon(_placed(area, scene.face, ghost.offset_mm, scene.yaw_rad))
         _sigma_circle(painter, area, ghost.offset_mm, ghost.sigma_mm)
-        _legend_line(painter, area, ghost, row, height)
+        _legend_line(painter, area, ghost, row, height, left=legend_left(scene))
         _letters(painter, area, scene, ghost)
 
 
@@ -75,13 +80,16 @@ def _letters(painter: QPainter, area: PlotArea, scene: OffsetScene, ghost: Ghost
     painter.drawText(box, int(Qt.AlignmentFlag.AlignCenter), ghost.kind[:2].capitalize())
 
 
-def _legend_line(painter: QPainter, area: PlotArea, ghost: Ghost, row: int, height: float) -> None:
-    """Name line and letters at the upper right."""
+def _legend_line(
+    painter: QPainter, area: PlotArea, ghost: Ghost, row: int, height: float, *, left: bool
+) -> None:
+    """Name line and letters in an upper corner; at the left below the name of the axis."""
     text = f"{ghost.kind[:2].capitalize()}  {ghost.kind}"
     width = painter.fontMetrics().horizontalAdvance(text)
-    right, y = area.rect.right() - 8, area.rect.top() + 4 + (row + 0.5) * (height + 2)
-    box = QRectF(right - width, y - height / 2, width, height)
-    painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), text)
+    y = area.rect.top() + 4 + (row + (1.5 if left else 0.5)) * (height + 2)
+    at = area.rect.left() + 42 if left else area.rect.right() - 8 - width
+    box = QRectF(at, y - height / 2, width, height)
+    painter.drawText(box, int(Qt.AlignmentFlag.AlignLeft), text)
     painter.drawLine(QPointF(box.left() - 34, y), QPointF(box.left() - 6, y))
 
 

@@ -43,7 +43,7 @@ class OffsetView(QWidget):
         self.paints = 0
         self.setAccessibleName("Displacement of the grasped face")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.setMinimumSize(240, 220)
+        self.setMinimumSize(240, 140)
         self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
 
     def sizeHint(self) -> QSize:
@@ -127,7 +127,8 @@ class OffsetView(QWidget):
 
     def _background(self, scene: OffsetScene, area: PlotArea) -> QPixmap:
         """Return the ground with the ghosts: drawn once per episode."""
-        key = (self._fitting_ground(scene, area), scene.yaw_rad, scene.ghosts)
+        side = marks.legend_left(scene)
+        key = (self._fitting_ground(scene, area), scene.yaw_rad, scene.ghosts, side)
         if self._behind is None or key != self._behind_key:
             assert self._ground is not None
             self._behind, self._behind_key = QPixmap(self._ground), key

@@ -57,12 +57,12 @@ class PhaseSheet:
         painter.fillRect(rect, t.colour("bg"))
         painter.setFont(ui_font(self.paper.scale, 0.8))
         height = painter.fontMetrics().height()
-        step = nice_step(area.x1 - area.x0, 3)
+        step = nice_step(area.x1 - area.x0, 4)
         painter.setPen(t.colour("muted"))
-        for value in ticks(area.x0, area.x1, 3):
+        for value in ticks(area.x0, area.x1, 4):
             box = QRectF(area.x(value) - 30, rect.bottom() + 2, 60, height)
             painter.drawText(box, int(Qt.AlignmentFlag.AlignHCenter), tick_text(value, step))
-        for value in ticks(area.y0, area.y1, 3):
+        for value in ticks(area.y0, area.y1, 4):
             box = QRectF(0, area.y(value) - height / 2, rect.left() - 5, height)
             painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), tick_text(value, step))
         above = QRectF(0, rect.top() - height - 3, self.paper.width, height)
@@ -90,6 +90,7 @@ class PhasePlot(QWidget):
         self._theme = theme
         self._trace: WrenchTrace | None = None
         self._cursor_s = 0.0
+        self._why_empty = "No moments"
         self._drawn: PhaseDrawn | None = None
         self.setAccessibleName("Moment Tx over moment Ty")
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
@@ -100,9 +101,11 @@ class PhasePlot(QWidget):
         """Return a square."""
         return QSize(150, 150)
 
-    def show_trace(self, trace: WrenchTrace | None, drawn: PhaseDrawn | None = None) -> None:
-        """Show another probe; ``drawn`` is used if it fits."""
-        self._trace, self._drawn = trace, drawn
+    def show_trace(
+        self, trace: WrenchTrace | None, drawn: PhaseDrawn | None = None, why: str = "No moments"
+    ) -> None:
+        """Show another probe, or ``why`` there is nothing; ``drawn`` is used if it fits."""
+        self._trace, self._drawn, self._why_empty = trace, drawn, why
         self.update()
 
     def sheet(self) -> PhaseSheet:
@@ -120,7 +123,7 @@ class PhasePlot(QWidget):
         trace = self._trace
         if trace is None or not has_moments(trace):
             painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
-            draw_message(painter, self.rect(), self._theme, "No moments")
+            draw_message(painter, self.rect(), self._theme, self._why_empty)
             return
         sheet = self.sheet()
         if self._drawn is None or self._drawn[0] != sheet:

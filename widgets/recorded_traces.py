@@ -21,6 +21,7 @@ from widgets.theme import Theme, ui_font
 from widgets.trace_sheet import TraceSheet, WrenchTrace, paper_of
 
 NAMES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
+NOTHING = "No wrench was recorded"
 Drawn = tuple[TraceSheet, QImage]
 """A sheet that was drawn ahead, and its picture."""
 
@@ -37,6 +38,7 @@ class RecordedTraces(QWidget):
         self.channels = channels
         self.trace: WrenchTrace | None = None
         self.cursor_s = 0.0
+        self._why_empty = NOTHING
         self._drawn: Drawn | None = None
         self.setAccessibleName("Force and moment of the probe")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
@@ -47,9 +49,11 @@ class RecordedTraces(QWidget):
         """Return a flat rectangle."""
         return QSize(420, 130)
 
-    def show_trace(self, trace: WrenchTrace | None, drawn: Drawn | None = None) -> None:
-        """Show another probe; ``drawn`` is used if it fits."""
-        self.trace, self._drawn = trace, drawn
+    def show_trace(
+        self, trace: WrenchTrace | None, drawn: Drawn | None = None, why: str = NOTHING
+    ) -> None:
+        """Show another probe, or ``why`` there is nothing; ``drawn`` is used if it fits."""
+        self.trace, self._drawn, self._why_empty = trace, drawn, why
         self.update()
 
     def sheet(self) -> TraceSheet:
@@ -109,7 +113,7 @@ class RecordedTraces(QWidget):
         painter = QPainter(self)
         if self.trace is None or len(self.trace.t_s) < 2:
             painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
-            draw_message(painter, self.rect(), self._theme, "No wrench was recorded")
+            draw_message(painter, self.rect(), self._theme, self._why_empty)
             return
         sheet = self.sheet()
         if self._drawn is None or self._drawn[0] != sheet:

@@ -23,6 +23,7 @@ LOOKS: dict[OutlineKind, tuple[str, Qt.PenStyle]] = {
     "scene": ("#7CF2FF", Qt.PenStyle.DotLine),
 }
 """Colours for a photograph, in every theme; each outline also differs by its line."""
+UNSEEN, RESTS_ON = "No scene picture", "The label rests on the arm, the grasp and whoever set it."
 GAP = 4
 ROOM = 1.8
 """The part of the picture that is shown is so many times as large as the outlines."""
@@ -52,6 +53,7 @@ class SceneShotView(QWidget):
         super().__init__()
         self._theme = theme
         self.shots: tuple[SceneShot, ...] = ()
+        self._why_empty = UNSEEN
         self.setAccessibleName("Pictures of the scene camera")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.setMinimumSize(240, 120)
@@ -61,9 +63,9 @@ class SceneShotView(QWidget):
         """Return the room of two pictures."""
         return QSize(480, 180)
 
-    def show_shots(self, shots: Sequence[SceneShot]) -> None:
-        """Show another episode, or another label of it."""
-        self.shots = tuple(shots)
+    def show_shots(self, shots: Sequence[SceneShot], why: str = UNSEEN) -> None:
+        """Show another episode, or another label of it, or ``why`` there is nothing."""
+        self.shots, self._why_empty = tuple(shots), why
         kinds = ", ".join(o.kind for shot in self.shots[:1] for o in shot.outlines)
         self.setAccessibleDescription(f"{len(self.shots)} pictures, outlines: {kinds or 'none'}")
         self.update()
@@ -73,8 +75,8 @@ class SceneShotView(QWidget):
         painter = QPainter(self)
         painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
         if not self.shots:
-            text = "The label rests on the arm, the grasp and whoever set it."
-            draw_message(painter, self.rect(), self._theme, "No scene picture", text)
+            text = RESTS_ON if self._why_empty == UNSEEN else ""
+            draw_message(painter, self.rect(), self._theme, self._why_empty, text)
             return
         painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton
 
+from widgets.in_sight import bring_in_sight
 from widgets.panel import label
 
 
@@ -30,4 +31,7 @@ class UnsavedBanner(QFrame):
     def show_trouble(self, what: str) -> None:
         """Say why; "" hides the banner."""
         self.text.setText(f"Not saved: {what}" if what else "")
+        appears = bool(what) and self.isHidden()
         self.setVisible(bool(what))
+        if appears:
+            bring_in_sight(self)

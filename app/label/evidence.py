@@ -78,7 +78,7 @@ def scene_words(edit: Edit, item: LabelItem, *, hidden: bool) -> str:
     if hidden:
         return ""
     if item.scene is None:
-        return "No scene picture: nothing here saw whether the piece slipped in the grasp."
+        return "No scene picture: a slip in the grasp would be unseen."
     place = item.scene.place
     if place is None:
         return "Scene camera: the rim of the face cannot be made out."

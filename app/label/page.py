@@ -24,6 +24,7 @@ from app.label.words import QUEUES
 from widgets.choice_bar import ChoiceBar
 from widgets.elided import ElidedLabel
 from widgets.film import Film
+from widgets.in_sight import bring_in_sight
 from widgets.label_list import LabelList
 from widgets.offset_scene import Point
 from widgets.offset_view import OffsetView
@@ -224,6 +225,7 @@ class LabelPage(QWidget):
         self.caption.setText(caption)
         self.caption.setToolTip(caption)
         self.caption.show()
+        bring_in_sight(line)
 
     def _take_words(self, text: str) -> None:
         if text.strip():
@@ -232,9 +234,13 @@ class LabelPage(QWidget):
 
     def leave_entry(self) -> None:
         """Stop typing."""
+        self.close_lines()
+        self.setFocus()
+
+    def close_lines(self) -> None:
+        """Hide what was to be typed: it was said elsewhere."""
         for line in (self.caption, self.entry, self.words):
             line.hide()
-        self.setFocus()
 
     def say(self, text: str, *, bad: bool = False) -> None:
         """Show one sentence below the view; ``bad``: something was refused."""
@@ -249,6 +255,9 @@ class LabelPage(QWidget):
     def show_nobody(self) -> None:
         """Say that the queue depends on who labels."""
         self.view.show_nothing("Give your name to see the queue.")
+        self.film.show_none()
+        for view in (self.forces, self.moments, self.phase):
+            view.show_trace(None, why="No episode")
         self.queue_panel.detail.setText("nobody is named")
         self.say("Give your name to see the queue (Ctrl+U).")
 

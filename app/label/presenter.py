@@ -21,12 +21,13 @@ from app.label.prefetch import Prefetch
 from app.label.saving import Intent, Saving
 from app.label.sitting import Chosen, Present, Sitting
 from app.label.walk import Queue, Walk, read_queue
-from app.label.words import FINDING, clock, history_rows
+from app.label.words import FINDING, asks_for, clock, history_rows
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.values import Looked
 
+OTHER = "Ctrl+J chooses another queue."
 EMPTY = {
-    "unlabelled": "Nothing is left to label: collect more, or choose another queue (Ctrl+J).",
+    "unlabelled": "Nothing is left to label: collect more.",
     "review": "Nothing waits for your review.",
     **dict.fromkeys(
         ("doubt", "disagreement", "uncertainty", "duplicates"),
@@ -169,26 +170,31 @@ class LabelPresenter:
         self._show_count()
         self.clock.restart()
         self._sheets = self._page.sheets()
-        self._page.say(self._news or self._said_of_present())
-        self._news = ""
         if isinstance(ready, Exception):
             self.present = None
-            show.show_none(self._page)
             if self.walk.uuid is None:
-                self._page.say(EMPTY.get(self.sitting.queue, "This queue is empty."))
+                why = EMPTY.get(self.sitting.queue, "This queue is empty.")
+                self._page.say(f"{why} {OTHER}")
             else:
+                why = "This episode cannot be read."
                 self._page.say(f"This episode cannot be read: {ready}", bad=True)
+            self._news = ""
+            show.show_none(self._page, why)
             self._show_saving()
             return
         uuid = ready.entry.uuid
         self.present = Present(ready, self._begin(uuid), self.book.history(uuid))
+        self._page.say(self._news or self._said_of(self.present))
+        self._news = ""
         show.show_item(self._page, ready)
         self._show_label()
 
-    def _said_of_present(self) -> str:
+    def _said_of(self, now: Present) -> str:
+        """Say why the episode is in this queue, where that asks for something."""
         s = self.sitting
-        of = s.chosen.said if s.queue == FINDING and s.chosen is not None else {}
-        return of.get(self.walk.uuid or "", "")
+        if s.queue == FINDING and s.chosen is not None:
+            return s.chosen.said.get(now.item.entry.uuid, "")
+        return asks_for(now.edit.base, reviewing=s.queue == "review", opines=s.opines)
 
     def _begin(self, uuid: str) -> Edit:
         head = self.book.head(uuid)
@@ -264,8 +270,11 @@ class LabelPresenter:
         """Show what the dataset says of the present episode now."""
         now = self.present
         if now is not None:
+            asked = self._said_of(now)
             self._take(now)
             self._show_label()
+            if asked and self._page.message.text() == asked:
+                self._page.say(self._said_of(now))
 
     def _take(self, now: Present) -> None:
         """Take what the dataset says of an episode."""

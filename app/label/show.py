@@ -29,13 +29,14 @@ def show_item(page: LabelPage, item: LabelItem) -> None:
     page.view_panel.detail.setText(f"{entry.piece} on {entry.bottom}, {entry.uuid[-8:]}")
 
 
-def show_none(page: LabelPage) -> None:
-    """Show that no episode is in front: nothing of the former one stays."""
-    page.view.show_nothing("None is in front.")
-    page.film.show_reel({}, (0.0, 2.0), 0.0)
-    page.shots.show_shots(())
+def show_none(page: LabelPage, why: str) -> None:
+    """Show that no episode is in front, and why: nothing of the former one stays."""
+    page.view.show_nothing(why)
+    page.film.show_none()
+    page.film_panel.detail.setText("")
+    page.shots.show_shots((), why="No episode")
     for view in (page.forces, page.moments, page.phase):
-        view.show_trace(None)
+        view.show_trace(None, why="No episode")
     for line in (page.verdict, page.basis, page.model_line, page.scene_line):
         line.setText("")
     page.basis.setToolTip("")

@@ -58,6 +58,17 @@ def rests_on(revision: Revision) -> str:
     return f"{basis}, {spread}"
 
 
+def asks_for(head: Revision, *, reviewing: bool, opines: bool) -> str:
+    """Say what is to be done with a label, where Enter does not simply accept it."""
+    if opines:
+        return "Blind: Enter keeps your displacement as an opinion, the label does not change."
+    if head.state == "rejected":
+        return f"Rejected by {head.person}: {head.reason or 'no reason'}. Correct it, then Enter."
+    if reviewing and head.state == "submitted":
+        return f"Submitted by {head.person}: Enter approves, D rejects."
+    return ""
+
+
 def clock(at_ns: int) -> str:
     """Return the local time of day."""
     return f"{datetime.fromtimestamp(at_ns / 1e9):%H:%M:%S}"
@@ -127,6 +138,6 @@ def operation_words(operation: Operation) -> str:
     body: Any = operation.body
     episodes = {part["episode"] for part in (*body.get("revs", ()), *body.get("marks", ()))}
     what = operation.verb.removeprefix("label.").replace("_", " ")
-    which = f"{len(episodes)} episodes" if len(episodes) != 1 else f"…{min(episodes)[-8:]}"
+    which = f"{len(episodes)} episodes" if len(episodes) != 1 else f"episode {min(episodes)[-8:]}"
     when = f"{datetime.fromtimestamp(operation.at_ns / 1e9):%Y-%m-%d %H:%M:%S}"
     return f"{when}  {operation.actor}: {what}, {which}"

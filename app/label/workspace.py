@@ -187,6 +187,7 @@ class LabelWorkspace(Workspace):
         except TouchdownError as error:
             self.label_page.say(str(error), bad=True)
             return
+        self.label_page.close_lines()
         if self.presenter is None:
             self._be(person)
             self.open()

@@ -18,7 +18,7 @@ from backend.runs.bench import Bench
 from backend.runs.jig import pick, put_back
 from backend.runs.plan import Checkpoint, Plan
 from backend.runs.requests import CalibrateRequest
-from backend.runs.touching import BELOW_MM, edge_mm, find_height, touched_mm
+from backend.runs.touching import BELOW_MM, FINE_MM, edge_mm, find_height, touched_mm
 
 INSET_MM = 2.0
 """An edge is felt this far from its ends."""
@@ -65,7 +65,7 @@ def felt_edge(
     from_mm = centre.copy()
     from_mm[1 - axis] += off_mm
     reach = np.add(bench.piece.face.half_extents_mm, bench.outline.half_extents_mm)
-    at = yield from edge_mm(bench, from_mm, axis, side * float(reach[axis]), start_mm)
+    at = yield from edge_mm(bench, from_mm, axis, side * float(reach[axis]), start_mm, FINE_MM)
     return Edge(axis, side, off_mm, float(centre[axis]) + at)
 
 

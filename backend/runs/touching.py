@@ -17,7 +17,7 @@ from backend.runs.plan import Plan, Waiting, motion_done
 
 SEARCH_MM = 3.0
 """An edge is looked for this far on both sides of where it should be."""
-RESOLUTION_MM = 0.1
+RESOLUTION_MM, FINE_MM = 0.1, 0.05
 BELOW_MM = 1.2
 """No contact down to this far below the centre's height: the piece is beside the bottom."""
 DEPTH_MM, TOUCH_S = 0.1, 0.1
@@ -41,9 +41,14 @@ def find_height(bench: Bench, centre: FloatArray) -> Plan[float]:
 
 
 def edge_mm(
-    bench: Bench, centre: FloatArray, axis: int, expected_mm: float, start_mm: float
+    bench: Bench,
+    centre: FloatArray,
+    axis: int,
+    expected_mm: float,
+    start_mm: float,
+    to_mm: float = RESOLUTION_MM,
 ) -> Plan[float]:
-    """Return how far from ``centre`` along ``axis`` contact ends, by halving.
+    """Return how far from ``centre`` along ``axis`` contact ends, by halving down to ``to_mm``.
 
     ``expected_mm`` with its sign; descents begin at ``start_mm``. Raises ``RefusedError``
     "ORIGIN-FAR" if the edge is more than ``SEARCH_MM`` off.
@@ -51,7 +56,7 @@ def edge_mm(
     side = math.copysign(1.0, expected_mm)
     inside, outside = abs(expected_mm) - SEARCH_MM, abs(expected_mm) + SEARCH_MM
     least, most = inside, outside
-    while outside - inside > RESOLUTION_MM:
+    while outside - inside > to_mm:
         middle = 0.5 * (inside + outside)
         place = centre.copy()
         place[axis] += side * middle

@@ -141,7 +141,7 @@ class ConnectSheet(QDialog):
         column.addStretch(1)
         column.addWidget(rule())
         column.addLayout(foot)
-        self.setMinimumWidth(56 * self.fontMetrics().height())
+        self.setMinimumWidth(64 * self.fontMetrics().height())
 
     def _wire(self) -> None:
         self.connect_all.setToolTip("One after the other, the arm last; nothing moves")
@@ -168,7 +168,6 @@ class ConnectSheet(QDialog):
                 QPushButton("Connect"),
                 QPushButton(""),
             )
-            row.text.setMinimumHeight(2 * self.fontMetrics().height() + 4)
             row.button.setAutoDefault(False)
             row.extra.setAutoDefault(False)
             row.button.clicked.connect(partial(self._intents.row, index))
@@ -187,6 +186,9 @@ class ConnectSheet(QDialog):
             mark.setAccessibleName(f"{look.title}, {step}: {word}")
             set_property(mark, "tone", TONES.get(word, ""))
         row.text.setText(look.text)
+        # A label in a grid does not claim the lines that its text needs.
+        lines = 3 if look.bad else 2
+        row.text.setMinimumHeight(lines * self.fontMetrics().lineSpacing() + 2)
         set_property(row.text, "tone", "bad" if look.bad else "")
         row.button.setText(look.label)
         row.button.setAccessibleName(f"{look.label} {look.title}")

@@ -1,15 +1,16 @@
-"""``touchdown collect``: fill a dataset with labelled probes of the simulated bench."""
+"""``touchdown collect``: fill a dataset with labelled probes of a bench."""
 
 from __future__ import annotations
 
 import argparse
 import getpass
 import sys
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from backend.config.lab import is_lab_file
 from backend.config.method import CollectSettings, StackSettings
 from backend.core.facts import (
     CampaignBegan,
@@ -25,6 +26,12 @@ from backend.core.faults import InputError
 from backend.runs.requests import CollectRequest
 from backend.runs.store import data_folder, dataset_folder
 from backend.runs.words import hand_over
+from backend.verbs.connecting import (
+    add_lab_arguments,
+    lab_bench,
+    lab_choice,
+    refuse_lab_arguments,
+)
 from backend.verbs.ctrl_c import ctrl_c_cancels
 from backend.verbs.screen import Advance, Screen
 
@@ -75,7 +82,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resume", action="store_true", help="go on with the newest campaign, by its own plan"
     )
-    parser.add_argument("--bench", metavar="FILE", help="settings of the simulated bench (TOML)")
+    parser.add_argument(
+        "--bench", metavar="FILE", help="lab file, or settings of the simulated bench (TOML)"
+    )
+    add_lab_arguments(parser)
     parser.add_argument("--preset", help="noise preset: mixed, quiet, hard, off, realistic")
     parser.add_argument("--inject", action="append", default=[], metavar="FAULT",
                         help="scripted disturbance such as force_torque:stop@30")  # fmt: skip
@@ -93,6 +103,11 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         if value is not None and value < 1:
             name = "--" + flag.replace("_", "-")
             raise InputError(f"{name} must be at least 1.", name, "Give a positive number.")
+    lab = args.bench is not None and is_lab_file(Path(args.bench))
+    if not lab:
+        refuse_lab_arguments(args)
+    # No jig is taught on a lab's bench: the operator hands the piece over.
+    args.hand_over |= lab
     if args.hand_over and screen.json:
         raise InputError(
             "Nobody would see when to hold the piece.", "--hand-over", "Leave out --json."
@@ -102,16 +117,13 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     with Dataset.open(folder, create=not args.resume, person=person) as dataset:
         for notice in dataset.notices:
             screen.say(notice)
-        session = _session(args)
-        session.dataset = dataset
-        try:
+        with _session(args, screen, lab=lab) as session:
+            session.dataset = dataset
             # The bar begins with the campaign: bad words are refused before anything is said.
             with ExitStack() as bars, ctrl_c_cancels(session.engine.cancel):
                 told = _Told(screen, bars, session.answer)
                 session.hub.subscribe(told.take)
                 session.run(_request(args, dataset, person))
-        finally:
-            session.close()
         return _report(dataset, session, told, screen)
 
 
@@ -158,20 +170,32 @@ class _Told:
             self.advance(done, f"of {total} {text}")
 
 
-def _session(args: argparse.Namespace) -> Session:
+@contextmanager
+def _session(args: argparse.Namespace, screen: Screen, *, lab: bool) -> Iterator[Session]:
     from backend.assembly import SimulatedBenchChoice, simulated_session
     from backend.session import Keep
 
+    runs = Path(args.runs) if args.runs else data_folder() / "runs"
+    keep = Keep(runs, episodes=False)
     limits = CollectSettings(grips_per_mounting=args.grips_per_mounting)
+    method = StackSettings(collect=limits)
+    if lab:
+        with lab_bench(
+            lab_choice(args), keep, method, screen, home=args.home, override=args.override
+        ) as session:
+            yield session
+        return
     choice = SimulatedBenchChoice(
         file=Path(args.bench) if args.bench else None,
         preset=args.preset,
         disturbances=tuple(args.inject),
         pieces=Path(args.pieces) if args.pieces else None,
     )
-    runs = Path(args.runs) if args.runs else data_folder() / "runs"
-    keep = Keep(runs, episodes=False)
-    return simulated_session(choice, keep=keep, method=StackSettings(collect=limits))
+    session = simulated_session(choice, keep=keep, method=method)
+    try:
+        yield session
+    finally:
+        session.close()
 
 
 def _request(args: argparse.Namespace, dataset: Dataset, person: str) -> CollectRequest:

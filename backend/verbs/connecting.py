@@ -7,6 +7,7 @@ import sys
 import threading
 from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from backend.core.faults import FaultError, InputError, RefusedError
@@ -43,6 +44,16 @@ def refuse_lab_arguments(args: argparse.Namespace) -> None:
     for flag, given in (("--home", args.home), ("--override", args.override)):
         if given:
             raise InputError("Only devices need that.", flag, "Name a lab file with --bench.")
+
+
+def lab_choice(args: argparse.Namespace) -> LabChoice:
+    """Return the lab of ``--bench``; raises ``InputError`` for what only simulations have."""
+    from backend.lab import LabChoice
+
+    for name in ("preset", "inject", "emulated"):
+        if getattr(args, name, None):
+            raise InputError("That is of the simulated bench.", f"--{name}", "Leave it out here.")
+    return LabChoice(Path(args.bench), Path(args.pieces) if args.pieces else None)
 
 
 @contextmanager

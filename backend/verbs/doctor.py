@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 from rich.table import Table
 from rich.text import Text
 
-from backend.verbs import check_machine, check_packages
+from backend.verbs import check_lab, check_machine, check_packages
 from backend.verbs.check import Check, Examine
 from backend.verbs.dataset_care import examine_only
 from backend.verbs.screen import Screen
@@ -41,6 +42,9 @@ COLOURS = {"OK": "green", "NOTE": "yellow", "FAIL": "bold red"}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
+        "--bench", type=Path, metavar="FILE", help="ask the devices of a lab file instead"
+    )
+    parser.add_argument(
         "--dataset",
         nargs="?",
         const="",
@@ -57,10 +61,13 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     if args.dataset is not None:
         folder = Path(args.dataset) if args.dataset else dataset_folder()
         return examine_only(folder, screen)
-    with screen.progress("Examining", len(EXAMINATIONS)) as advance:
+    looks: list[Examine] = [partial(_examine, look) for look in EXAMINATIONS]
+    if args.bench is not None:
+        looks = list(check_lab.looks(args.bench))
+    with screen.progress("Examining", len(looks)) as advance:
         checks = []
-        for look in EXAMINATIONS:
-            checks.append(_examine(look))
+        for look in looks:
+            checks.append(look())
             advance(len(checks), checks[-1].name)
     screen.show(findings(checks))
     failed = [check for check in checks if not check.ok]

@@ -29,6 +29,7 @@ from backend.verbs.connecting import (
     add_lab_arguments,
     ask_on_a_thread,
     lab_bench,
+    lab_choice,
     refuse_lab_arguments,
 )
 from backend.verbs.ctrl_c import ctrl_c_cancels
@@ -120,7 +121,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     )
     runs = Path(args.runs) if args.runs else data_folder() / "runs"
     choice = (
-        _lab_choice(args)
+        lab_choice(args)
         if lab
         else SimulatedBenchChoice(
             file=Path(args.bench) if args.bench else None,
@@ -146,18 +147,6 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     screen.result(_result(args, trials, faults, session))
     placed = [t for t in trials if t.outcome is Outcome.PLACED]
     return 0 if len(placed) == request.trials and not faults else 1
-
-
-def _lab_choice(args: argparse.Namespace) -> LabChoice:
-    from backend.lab import LabChoice
-
-    simulated_only = {
-        "--preset": args.preset, "--inject": args.inject, "--emulated": args.emulated,
-    }  # fmt: skip
-    for flag, given in simulated_only.items():
-        if given:
-            raise InputError("That is of the simulated bench.", flag, "Leave it out with a lab.")
-    return LabChoice(Path(args.bench), Path(args.pieces) if args.pieces else None)
 
 
 @contextmanager

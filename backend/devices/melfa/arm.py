@@ -160,6 +160,14 @@ class MelfaArm:
             ready = self._latched() is None
             self._state = DeviceState.READY if ready else DeviceState.FAULT
 
+    def examine(self) -> Identity:
+        """Ask who answers, while closed; raises ``FaultError``. Nothing is switched on."""
+        try:
+            self._wires.open(lambda now_s, datagrams: None, lambda fault: None)
+            return self._console.examine()
+        finally:
+            self._wires.close()
+
     def close(self) -> None:
         """Brake, end the stream, stop, switch the servo off; the gripper stays as it is."""
         if self._state is DeviceState.CLOSED:

@@ -72,6 +72,18 @@ class Console:
             raise FaultError(fault) from error
         return identity
 
+    def examine(self) -> Identity:
+        """Return who answers and leave it as it was: nothing is switched on."""
+        try:
+            identity = self._identify()
+            self._require_no_error()
+            self._require_time_limit()
+            self.ask("CLOSE")
+        except WireError as error:
+            fault = link_fault(f"The controller does not answer as it should: {error}.")
+            raise FaultError(fault) from error
+        return identity
+
     def run_stream(self) -> None:
         """Start the controller's program that opens the stream, and wait until it runs."""
         if Run.RUNNING in self.state().run:

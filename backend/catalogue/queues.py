@@ -39,8 +39,8 @@ def queue(
 
     - unlabelled: not yet accepted, oldest first, skipped ones last
     - review: submitted by others; returned: the person's own that a reviewer rejected
-    - doubt, disagreement, uncertainty: highest score first; duplicates: nearest first; a label
-      that changed since it was scored is left out of all but uncertainty
+    - doubt, disagreement, duplicates, uncertainty: highest score first; a label that changed since
+      it was scored is left out of all but uncertainty
     - coverage: not yet approved, squares with the fewest approved labels first
     - conflicts: two labels since a merge; audit: a share drawn by ``seed``
     - gold: a share of the approved labels of others, to be answered blind, once each
@@ -93,11 +93,11 @@ def _returned(database: Database, person: str, seed: int, limit: int) -> list[st
     )
 
 
-def _scored(name: str, order: str, condition: str) -> Callable[..., list[str]]:
-    # Names, order and condition are those below: nothing from outside enters the text.
+def _scored(name: str, condition: str) -> Callable[..., list[str]]:
+    # Names and condition are those below: nothing from outside enters the text.
     sql = (
         "SELECT s.episode FROM score s JOIN label_head h USING (episode)"  # noqa: S608
-        f" WHERE s.name = '{name}' AND {condition} ORDER BY s.value {order}, s.episode LIMIT ?"
+        f" WHERE s.name = '{name}' AND {condition} ORDER BY s.value DESC, s.episode LIMIT ?"
     )
 
     def make(database: Database, person: str, seed: int, limit: int) -> list[str]:
@@ -156,11 +156,11 @@ _MAKERS: dict[str, Callable[[Database, str, int, int], list[str]]] = {
     "unlabelled": _stage("unlabelled"),
     "review": _review,
     "returned": _returned,
-    "doubt": _scored("doubt", "DESC", _SAME_LABEL),
-    "disagreement": _scored("disagreement", "DESC", _SAME_LABEL),
-    "uncertainty": _scored("uncertainty", "DESC", _OPEN),
+    "doubt": _scored("doubt", _SAME_LABEL),
+    "disagreement": _scored("disagreement", _SAME_LABEL),
+    "uncertainty": _scored("uncertainty", _OPEN),
     "coverage": _coverage,
-    "duplicates": _scored("duplicates", "ASC", _SAME_LABEL),
+    "duplicates": _scored("duplicates", _SAME_LABEL),
     "conflicts": _stage("conflicts"),
     "audit": _audit,
     "gold": _gold,

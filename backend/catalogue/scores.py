@@ -14,8 +14,8 @@ from backend.catalogue.values import Label, Revision
 from backend.core.faults import InputError
 
 SCORES = ("doubt", "disagreement", "uncertainty", "duplicates")
-"""``doubt``: how much likelier the signals are a few mm away. ``duplicates``: distance to the
-nearest signal whose label differs by more than 5 mm, as a share of what is usual nearby."""
+"""``doubt``: how much likelier the signals are a few mm away. ``duplicates``: how far the
+label lies off those of the most alike signals, in what is usual among them."""
 
 MODEL = "model:"
 

@@ -17,16 +17,13 @@ from backend.catalogue.scores import MODEL, Suggestion, disagreement
 from backend.catalogue.values import EpisodeEntry, EpisodeFilter, Label, Source
 from backend.core.faults import InputError
 from backend.core.flow import TACTILE_CHANNELS, FloatArray
+from backend.placement.alike import strangeness
 from backend.placement.ensemble import Ensemble
 from backend.placement.label_doubt import doubts, signals_of
 from backend.placement.offset_fit import OffsetGrid
 
 SETTLED_TICKS = 5
 """The last 0.5 s of a press are compared: the load is constant there."""
-FAR_MM = 5.0
-"""Alike signals whose labels differ by more than this are worth a look."""
-FRIENDS = 10
-"""How alike signals usually are is told by so many with the nearest labels."""
 
 
 @dataclass(slots=True)
@@ -117,27 +114,8 @@ def _store(dataset: Dataset, weights: str, found: _Found) -> None:
         uuids = [felt.uuids[k] for k in known.tolist()]
         for name, values in (
             ("doubt", doubts(signals, offsets[known])),
-            ("duplicates", alike(signals, offsets[known])),
+            ("duplicates", strangeness(signals, offsets[known])),
         ):
             told = zip(uuids, values.tolist(), strict=True)
             scores = {uuid: value for uuid, value in told if np.isfinite(value)}
             dataset.scores.put(name, scores, weights)
-
-
-def alike(signals: FloatArray, offsets_mm: FloatArray) -> FloatArray:
-    """Return (n,) how near the most alike signal with a label over 5 mm away is.
-
-    ``signals`` (n, d) and ``offsets_mm`` (n, 2) of one pair. The distance is a share of that to the
-    signals with the nearest labels: where all signals are alike, nobody contradicts. NaN where no
-    label is that far.
-    """
-    nearest = np.full(len(signals), np.nan)
-    for i in range(len(signals)):
-        apart = np.sqrt(((signals - signals[i]) ** 2).sum(axis=1))
-        away_mm = np.hypot(*(offsets_mm - offsets_mm[i]).T)
-        far = away_mm > FAR_MM
-        if far.any():
-            away_mm[i] = np.inf
-            friends = np.argsort(away_mm, kind="stable")[: min(FRIENDS, len(signals) - 1)]
-            nearest[i] = apart[far].min() / max(float(np.median(apart[friends])), 1e-9)
-    return nearest

@@ -81,7 +81,7 @@ def test_injected_errors_come_first_in_the_queue_of_disagreement(dataset: Datase
 def test_uncertain_and_duplicate_signals(dataset: Dataset, record: Record) -> None:
     a, b, c = (record().uuid for _ in range(3))
     dataset.scores.put("uncertainty", {a: 0.1, b: 0.7, c: 0.4, "gone": 9.0}, "m")
-    dataset.scores.put("duplicates", {a: 0.1, c: 0.01}, "m")
+    dataset.scores.put("duplicates", {a: 1.1, c: 7.5}, "m")
     assert dataset.queue("uncertainty", "ann") == [b, c, a]
     assert dataset.queue("duplicates", "ann") == [c, a]
     dataset.labels.accept("ann", b)

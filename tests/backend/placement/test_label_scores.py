@@ -11,26 +11,11 @@ from backend.objects.catalogue import load_catalogue
 from backend.objects.surface import face_points
 from backend.placement.ensemble import Ensemble
 from backend.placement.estimator import Estimator
-from backend.placement.label_scores import alike, score_labels
+from backend.placement.label_scores import score_labels
 from backend.simulation.episodes import Plan, simulate
 
 EPISODES, WRONG = 60, 3
 QUALITY = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
-
-
-def test_alike_signals_with_other_labels_by_hand():
-    signals = np.array([[0.0, 0.0], [0.1, 0.0], [3.0, 0.0]])
-    offsets = np.array([[0.0, 0.0], [9.0, 0.0], [0.5, 0.0]])
-    found = alike(signals, offsets)
-    # Each has two others: what is usual is the mean of the distances to both.
-    assert found[0] == pytest.approx(0.1 / 1.55)
-    assert found[1] == pytest.approx(0.1 / 1.5)
-    assert found[2] == pytest.approx(2.9 / 2.95)  # the first is alike but also labelled alike
-
-
-def test_labels_that_are_all_near_contradict_nobody():
-    found = alike(np.array([[0.0], [1.0]]), np.array([[0.0, 0.0], [4.9, 0.0]]))
-    assert np.isnan(found).all()
 
 
 @pytest.fixture
@@ -70,6 +55,7 @@ def test_wrong_labels_come_first(dataset):
     assert len(wrong & set(first)) >= 2  # base rate: 0.3 of these 6
     assert dataset.queue("doubt", "Ann") == []  # too few to tell what is felt where
     assert dataset.queue("disagreement", "Ann") == order
+    assert len(wrong & set(dataset.queue("duplicates", "Ann")[: 2 * WRONG])) >= 2
     assert len(dataset.queue("uncertainty", "Ann")) == EPISODES
     assert {entry.uuid: dataset.labels.head(entry.uuid) for entry in dataset.episodes()} == before
     suggestion = dataset.scores.suggestion(order[0])

@@ -12,6 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from backend.assembly import Models
+from backend.calibration.store import CalibrationStore
 from backend.config.lab import Lab, load_lab
 from backend.config.method import StackSettings
 from backend.core.clock import BenchClock
@@ -92,6 +93,7 @@ class _LabBench:
                 session.prepare(self._first)
 
         connection.when_ready = set_first
+        session.calibrations = CalibrationStore(self._lab.calibrations, settings.kind)
         limits = Limits(**settings.limits.model_dump())
         session.join(connection, settings.name, limits, str(self._lab.path))
 

@@ -18,6 +18,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Protocol
 
+from backend.calibration.store import CalibrationStore
 from backend.catalogue.dataset import Dataset
 from backend.config.bench_facts import BenchFacts
 from backend.config.method import StackSettings
@@ -36,6 +37,7 @@ from backend.devices.supervision import Supervision
 from backend.objects.catalogue import Catalogue, Piece
 from backend.rig.connection import Connection
 from backend.runs.bench import Bench
+from backend.runs.calibrated import Used, as_metadata, calibrations_for, payload_of
 from backend.runs.engine import Engine
 from backend.runs.gate import Decisions, Gate
 from backend.runs.hand import Hand, Reach
@@ -108,6 +110,9 @@ class Session:
         self.decisions = Decisions()
         self.dataset: Dataset | None = None
         """Takes what is collected; set while no run goes on."""
+        self.calibrations: CalibrationStore | None = None
+        """What the bench knows about itself; set before its scene."""
+        self._used: Used = {}
         self.frames: Mapping[Finger, Stream[TactileFrame]] = {
             finger: Stream(f"tactile_{finger}", FRAME_CAPACITY) for finger in FINGERS
         }
@@ -287,6 +292,7 @@ class Session:
     def _plan(self, request: Request) -> Plan[None]:
         if self.connection is not None:
             refuse_on_devices(self.connection, request)
+        self._used = calibrations_for(request, self.facts.mode, self.calibrations, self.devices)
         run_id = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")[:-3]
         host = RunHost(
             run_id=run_id,
@@ -344,6 +350,7 @@ class Session:
             jig=stage.jig,
             scene_view=stage.scene_view,
             wrench_late_s=stage.wrench_late_s,
+            calibrations=as_metadata(self._used),
         )
 
     def _set_scene(self, choice: SceneChoice) -> _Scene:
@@ -358,10 +365,12 @@ class Session:
         for samples in (raw.samples, raw.poses, raw.commands, self.wrench):
             samples.clear()
         stage = self._make_stage(choice, raw)
-        sensing = LiveSensing(raw, self.fields, self.wrench, stage.payload)
         cancel = threading.Event()
         for device in stage.devices.values():
             device.connect(5.0, cancel)
+        payload = payload_of(self.calibrations, stage.devices)
+        payload = stage.payload if payload is None else payload
+        sensing = LiveSensing(raw, self.fields, self.wrench, payload)
         now_s = stage.clock.now_s
 
         def press_n() -> float:

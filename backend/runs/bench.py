@@ -105,7 +105,7 @@ class Bench:
     ``felt_count`` how many of its probes gave an estimate; ``hush`` keeps decisions undisturbed;
     ``outline`` of the surface that is touched; ``jig``: pose of ``G`` with the piece in its jig, or
     where the piece is ``handed`` over by the operator. ``wrench_late_s``: age of a wrench sample
-    when it comes.
+    when it comes. ``calibrations``: pairs that every episode keeps.
     """
 
     now_s: Callable[[], float]
@@ -129,3 +129,4 @@ class Bench:
     scene_view: SceneView | None = None
     handed: bool = False
     wrench_late_s: float = 0.0
+    calibrations: tuple[tuple[str, str], ...] = ()

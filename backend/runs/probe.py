@@ -102,11 +102,12 @@ def scene_pictures(bench: Bench) -> tuple[ScenePicture, ...]:
 
 
 def _calibration(bench: Bench) -> tuple[tuple[str, str], ...]:
-    """Return what the episode was measured against: scene camera, tactile references by hash."""
+    """Return what it was measured against: scene camera, references and calibrations by hash."""
     view = bench.scene_view
     board = () if view is None else (("scene_homography", view.homography.text()),)
     references = bench.sensing.references.items()
-    return (*board, *((f"reference_{finger}", taken.sha256) for finger, taken in references))
+    rest = ((f"reference_{finger}", taken.sha256) for finger, taken in references)
+    return (*board, *rest, *bench.calibrations)
 
 
 def probe_until_accepted(bench: Bench, probe: int, tries: int = 2) -> Plan[Felt]:

@@ -27,6 +27,11 @@ def dataset_folder() -> Path:
     return data_folder() / "dataset"
 
 
+def calibrations_folder() -> Path:
+    """Return where the calibrations of a bench without a lab file are kept."""
+    return data_folder() / "calibrations"
+
+
 def models_folder() -> Path:
     """Return where the models in use are kept."""
     return data_folder() / "models"

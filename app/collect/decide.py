@@ -46,7 +46,8 @@ def _detail(held: Held, *, back: bool, running: bool) -> str:
     if held.signals is not None:
         parts.append(f"Fz {held.signals[4]:.1f} N at the end")
     if quality.dropped_frames:
-        parts.append(f"{quality.dropped_frames} frames lost")
+        lost = quality.dropped_frames
+        parts.append("1 frame lost" if lost == 1 else f"{lost} frames lost")
     text = ", ".join(parts)
     text = f"{text[0].upper()}{text[1:]}."
     if back and running:

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
 
+from PySide6.QtWidgets import QApplication
+
 from app.activity import ACTIVE
 from app.cards import refusal_card
 from app.collect.decide import decide_stored, words_of
@@ -17,6 +19,7 @@ from app.collect.origin import OriginNote
 from app.collect.origin_field import OriginField
 from app.collect.page import CollectPage
 from app.collect.probes import Probes
+from app.collect.progress import Progress
 from app.collect.request import request_of
 from app.label.commits import Commits
 from app.link import Link
@@ -39,7 +42,7 @@ from backend.core.facts import (
 )
 from backend.core.faults import InputError, RefusedError, TouchdownError
 from backend.objects.catalogue import Catalogue
-from backend.runs.campaign import newest_campaign, read_campaign
+from backend.runs.campaign import Campaign, newest_campaign, read_campaign
 from backend.runs.requests import CollectRequest, RunState
 from widgets.fault_cards import CardText, FaultCards
 from widgets.last_probe_panel import ProbeWords
@@ -68,7 +71,7 @@ class CollectPresenter:
         self._asking = self._mine = False
         self._handing: HandOverAwaited | None = None
         self._campaign, self._go_on = "", ""
-        self._pace, self._gauge = Pace(), RecorderGauge()
+        self._pace, self._gauge, self._progress = Pace(), RecorderGauge(), Progress()
         self._gauge_s = float("-inf")
         self._buttons: TargetButtons | None = None
 
@@ -170,10 +173,19 @@ class CollectPresenter:
             dataset, person = self.dataset, self.person
             self._reader.submit(
                 lambda: decide_stored(dataset, person, uuid, decision),
-                self.probes.put,
+                self._decided_beside,
                 self._failed,
             )
         self.probes.restyle()
+
+    def _decided_beside(self, held: Held) -> None:
+        """Have the bar and *Go on* follow a decision that is in the dataset by now."""
+        self.probes.put(held)
+        if self._mine:
+            self._progress.stored(held.entry)
+            self._show_done()
+        else:
+            self._read_campaign()
 
     def set_origin_here(self) -> None:
         """Take the place of the arm as the origin."""
@@ -199,7 +211,8 @@ class CollectPresenter:
             return
         if isinstance(fact, CampaignBegan):
             self._campaign = fact.campaign
-            self._show_done(fact.done, fact.total)
+            self._progress.begin(fact)
+            self._show_done()
         elif isinstance(fact, ProbeCollected):
             self._collected(fact)
         elif isinstance(fact, DecisionAwaited):
@@ -207,6 +220,8 @@ class CollectPresenter:
             self.probes.restyle()
         elif isinstance(fact, EpisodeDecided):
             self._asking = False
+            self._progress.decided(fact)
+            self._show_done()
             self.probes.read(fact.uuid)
         elif isinstance(fact, RunFinished):
             self._ended(fact)
@@ -234,10 +249,12 @@ class CollectPresenter:
     def _collected(self, fact: ProbeCollected) -> None:
         self._pace.note(self._now_s())
         self.probes.last = fact.uuid
-        self._show_done(fact.done, fact.total)
+        self._progress.collected(fact)
+        self._show_done()
         self.probes.read(fact.uuid, lambda held: self._gauge.note(self._now_s(), held.entry.bytes))
 
-    def _show_done(self, done: int, total: int) -> None:
+    def _show_done(self) -> None:
+        done, total = self._progress.done, self._progress.total
         self._page.target.show_progress(done, total, self._pace.words(total - done))
 
     def _ended(self, fact: RunFinished) -> None:
@@ -250,23 +267,28 @@ class CollectPresenter:
         self.probes.restyle()
 
     def _read_campaign(self) -> None:
-        """Find out whether there is a campaign to go on with."""
+        """Find out how far the last campaign came, and whether it can go on."""
         dataset = self.dataset
         if dataset is None:
             return
 
-        def look() -> tuple[str, int, str]:
+        def look() -> tuple[Campaign, int] | None:
             uuid = newest_campaign(dataset.folder)
             if uuid is None:
-                return "", 0, ""
+                return None
             plan = read_campaign(dataset.folder, uuid)
-            left = len(plan.todo(dataset.episodes(EpisodeFilter(campaign=uuid))))
-            return uuid, left, f"{plan.piece} on {plan.bottom}"
+            return plan, len(plan.todo(dataset.episodes(EpisodeFilter(campaign=uuid))))
 
-        def done(found: tuple[str, int, str]) -> None:
-            uuid, left, what = found
-            self._campaign = uuid if left else ""
-            self._go_on = f"Go on with {what}: {left} probes are left" if left else ""
+        def done(found: tuple[Campaign, int] | None) -> None:
+            if found is None or self._mine:
+                return
+            plan, left = found
+            what = "1 probe is" if left == 1 else f"{left} probes are"
+            self._campaign = plan.uuid if left else ""
+            self._go_on = f"Go on with {plan.piece} on {plan.bottom}: {what} left" if left else ""
+            target = self._page.target
+            came = plan.count - left - len(plan.skipped)
+            target.show_progress(came, plan.count, target.eta.text())
 
         self._reader.submit(look, done, self._failed)
 
@@ -284,7 +306,11 @@ class CollectPresenter:
         wanted = buttons(self.link, now)
         if wanted != self._buttons:
             self._buttons = wanted
+            focused = QApplication.focusWidget()
             self._page.target.show_buttons(wanted)
+            if focused is not None and not focused.isEnabled():
+                # Qt would have handed the focus on to some field.
+                self._page.setFocus()
         now_s = self._now_s()
         if now_s - self._gauge_s >= GAUGE_S and self.dataset is not None:
             self._gauge_s = now_s

@@ -35,15 +35,21 @@ def examine_only(folder: Path, screen: Screen) -> int:
 def verify(args: argparse.Namespace, folder: Path, screen: Screen) -> int:
     """Read every file, check every label operation, and note what is damaged; 1 if anything is."""
     from backend.catalogue.dataset import Dataset
-    from backend.catalogue.recovery import reconcile
+    from backend.catalogue.recovery import examine, reconcile
+    from backend.catalogue.writer_lock import DatasetInUseError
 
-    with Dataset.open(folder, create=False) as dataset:
-        for notice in dataset.notices:
-            screen.say(notice)
-        found = reconcile(dataset.store, whole=True)
-        count = len(dataset.episodes())
+    try:
+        with Dataset.open(folder, create=False) as dataset:
+            for notice in dataset.notices:
+                screen.say(notice)
+            found, count = reconcile(dataset.store, whole=True), len(dataset.episodes())
+    except DatasetInUseError as error:
+        with Dataset.open(folder, create=False, write=False) as dataset:
+            found, count = list(examine(dataset.store, whole=True)), len(dataset.episodes())
+        screen.say(f"{error.what} It is looked at only; nothing is noted there.")
+        return _report(found, screen, {"dataset": str(folder), "episodes": count, "noted": False})
     screen.say(f"{count} episodes read.")
-    return _report(found, screen, {"dataset": str(folder), "episodes": count})
+    return _report(found, screen, {"dataset": str(folder), "episodes": count, "noted": True})
 
 
 def backup(args: argparse.Namespace, folder: Path, screen: Screen) -> int:

@@ -1,6 +1,7 @@
 """The Collect half on the stand-in bench and a real dataset: form, keys, facts, what is shown."""
 
 import shutil
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -26,6 +27,7 @@ from backend.core.facts import (
 )
 from backend.dataset.coverage import coverage
 from backend.objects.catalogue import load_catalogue
+from backend.runs.campaign import new_campaign
 from backend.runs.requests import CollectRequest, RunState
 from tests.app.conftest import settle
 from tests.app.label.conftest import make_episode
@@ -34,6 +36,7 @@ from widgets.distribution_view import NEAR_PX
 
 KEY = Qt.Key
 PROBES = 6
+CAMPAIGN = "01900000-0000-7000-8000-000000000000"
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +48,8 @@ def collected(tmp_path_factory):
         for seed in range(PROBES):
             episode = make_episode(seed)
             x_um, y_um = np.rint(1e3 * episode.offset_mm).astype(int).tolist()
-            context = EpisodeContext("s", "circle15", pair, "setup", "g1", "m1", plan_item=seed)
+            context = EpisodeContext("s", "circle15", pair, "setup", "g1", "m1", plan_item=seed,
+                                     campaign=CAMPAIGN)  # fmt: skip
             label = Label(x_um, y_um, 0, 150)
             dataset.record(episode, label, source="measured", context=context)
     return folder
@@ -298,6 +302,64 @@ def test_progress_pause_and_end(page):
     assert page.bench.engine.orders == ["pause", "cancel"]
     assert target.start.isEnabled()
     assert target.eta.text() == "cancelled by the operator"
+
+
+def test_the_bar_counts_no_probe_that_was_discarded(page):
+    page.begin()
+    bar, dataset = page.view.target.bar, page.presenter.dataset
+    older, newest = page.uuids[-2:]
+    page.probed(newest, done=3)
+    page.tell(EpisodeDecided(1.0, newest, 0, "flag", "Ann"))
+    assert bar.value() == 3
+    page.tell(EpisodeDecided(1.0, newest, 0, "discard", "Ann"))
+    assert bar.value() == 2
+    # An older one is discarded beside the run, which goes on counting it.
+    page.presenter._progress.campaign = CAMPAIGN
+    page.presenter.probes.choose(older)
+    page.press(KEY.Key_Backspace)
+    page.settle()
+    assert dataset.entry(older).deleted
+    assert bar.value() == 1
+    page.press(KEY.Key_Return)
+    page.settle()
+    assert not dataset.entry(older).deleted
+    assert bar.value() == 2
+
+
+def test_after_a_campaign_the_focus_is_on_the_page(page):
+    target = page.view.target
+    target.start.setFocus()
+    page.begin()
+    assert page.view.hasFocus()
+    page.bench.set_state(RunState.IDLE)
+    page.tell(RunFinished(2.0, "run", "finished", "done"))
+    assert page.view.hasFocus()
+
+
+def test_a_person_who_types_keeps_the_focus(page):
+    page.press(KEY.Key_U, Qt.KeyboardModifier.ControlModifier)
+    page.bench.hand = SimpleNamespace(pressing_n=3.0, active=False, holding=True,
+                                      jog=SimpleNamespace(active=False))  # fmt: skip
+    settle(page.main)
+    assert not page.view.target.start.isEnabled()
+    assert page.view.target.person.hasFocus()
+    page.bench.hand = None
+
+
+def test_a_discarded_probe_can_be_collected_again_without_a_restart(page):
+    dataset = page.presenter.dataset
+    plan = new_campaign("pot", "circle15", "random", 0, PROBES, None)
+    replace(plan, uuid=CAMPAIGN).save(dataset.folder)
+    page.presenter._read_campaign()
+    page.settle()
+    target = page.view.target
+    assert (target.bar.value(), target.bar.maximum()) == (PROBES, PROBES)
+    assert not target.go_on.isEnabled()
+    page.presenter.probes.choose(page.uuids[0])
+    page.press(KEY.Key_Backspace)
+    page.settle()
+    assert target.bar.value() == PROBES - 1
+    assert target.go_on.isEnabled()
 
 
 def test_the_check_of_the_origin_is_dated_used_once_and_remembered(page, qapp, tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from backend.assembly import SimulatedBenchChoice, simulated_session
@@ -91,10 +92,17 @@ def test_after_an_unplugged_camera_the_campaign_goes_on_where_it_was(failing: Fa
     ("device", "kind", "code"),
     [("tactile_right", "freeze", "CAMERA-FROZEN"), ("force_torque", "nan", "FT-STALE")],
 )
-def test_a_failing_sensor_within_a_press_is_no_probe(
+def test_a_failing_sensor_within_a_press_is_no_probe_and_the_campaign_goes_on(
     device: str, kind: str, code: str, failing: Failing
 ) -> None:
     failing.fail_in_press(1, device, kind)
     failing.run(count=1)
     failing.one_fault(code, device)
     failing.only_what_was_told(0)
+    failing.session.reset()
+    failing.run(campaign=newest_campaign(failing.dataset.folder))
+    assert failing.facts[-1].ending == "finished"
+    failing.only_what_was_told(1)
+    (entry,) = failing.dataset.episodes()
+    assert (entry.plan_item, entry.quality.accepted) == (0, True)
+    assert np.isfinite(failing.dataset.film(entry.uuid).episode.observation).all()

@@ -86,6 +86,20 @@ def test_verify_reads_every_byte_and_notes_damage(folder: Path, say: Any) -> Non
     assert say("dataset", "--dataset", str(folder))[1]["files"] == {"complete": 2, "damaged": 1}
 
 
+def test_verify_looks_only_while_another_program_writes(folder: Path, say: Any) -> None:
+    path = first_file(folder)
+    with Dataset.open(folder, person="ann") as dataset:
+        code, answer = say("dataset", "verify", "--dataset", str(folder))
+        assert (code, answer["findings"], answer["noted"]) == (0, [], False)
+        data = bytearray(path.read_bytes())
+        data[len(data) // 2] ^= 4
+        path.write_bytes(data)
+        code, answer = say("dataset", "verify", "--dataset", str(folder))
+        assert (code, [f["kind"] for f in answer["findings"]]) == (1, ["damaged"])
+        assert {e.file_state for e in dataset.episodes()} == {"complete"}
+        dataset.labels.set("ann", dataset.episodes()[1].uuid, Label(9, 9, 0, 1))
+
+
 def test_back_up_and_restore(folder: Path, say: Any) -> None:
     code, answer = say("dataset", "backup", "--dataset", str(folder))
     assert code == 0

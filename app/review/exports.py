@@ -1,4 +1,4 @@
-"""What Review hands out: the picture that is shown, the probes as a table, the file itself."""
+"""What Review hands out: the probes as a table, the file itself."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ from collections.abc import Iterable, Iterator
 from datetime import datetime
 from pathlib import Path
 
-from PySide6.QtCore import QProcess, QSize
-from PySide6.QtSvg import QSvgGenerator
-from PySide6.QtWidgets import QWidget
+from PySide6.QtCore import QProcess
 
 from app.review.timed import TimedTrial
 from backend.core.files import write_atomically
@@ -22,23 +20,6 @@ COLUMNS = (
     "iou", "accuracy", "outcome", "episode",
 )  # fmt: skip
 VIEWER = "xdg-open"
-
-
-def export_picture(view: QWidget, folder: Path, name: str) -> tuple[Path, Path]:
-    """Write ``view`` as it is shown, as PNG and as SVG; raises ``OSError``."""
-    folder.mkdir(parents=True, exist_ok=True)
-    png, svg = folder / f"{name}.png", folder / f"{name}.svg"
-    if not view.grab().save(str(png)):
-        raise OSError(None, "the picture cannot be written", str(png))
-    generator = QSvgGenerator()
-    generator.setFileName(str(svg))
-    generator.setSize(QSize(view.width(), view.height()))
-    generator.setViewBox(view.rect())
-    generator.setTitle(name)
-    view.render(generator)
-    if not svg.is_file():
-        raise OSError(None, "the picture cannot be written", str(svg))
-    return png, svg
 
 
 def table_of(trials: Iterable[tuple[TimedTrial, Outline | None]]) -> str:

@@ -13,6 +13,7 @@ from app.review.collection import Collection, collection_of
 from app.review.exports import table_of
 from app.review.library import Library
 from app.review.page import ReviewPage
+from app.review.picture import episode_caption, trial_caption
 from app.review.recorded import Recorded, read_recorded
 from app.review.replay import Replay
 from app.review.run_lines import activity_words, read_run_line
@@ -50,8 +51,12 @@ class ReviewPresenter:
         self._episodes: list[str] = []
         """Of a series or a collection: what its rows show."""
         self._told: list[str] = []
+        self._whole = ""
+        """Of a series or a collection: which one it is, for the caption of its episodes."""
         self.file: Path | None = None
         """What an external viewer would open."""
+        self.caption = ""
+        """Which run, pair, trial and seed, or which episode, is shown."""
         self._asked = 0
         self._described: dict[Path, int] = {}
         self._to_describe: list[int] = []
@@ -171,6 +176,7 @@ class ReviewPresenter:
         """Show a run that collected: its probes are episodes of the dataset."""
         self.timed, self._told = [], collection.told
         self._episodes = [probe.uuid for probe in collection.probes]
+        self._whole = f"Run {collection.head.run_id}, seed {collection.head.seed}"
         self._page.score.show_facts(collection.headline, collection.facts())
         self._name_parts("Probes", "of the run", "Collection")
         self._fill(collection.lines(), len(self._episodes) - 1)
@@ -178,6 +184,7 @@ class ReviewPresenter:
     def _open_series(self, series: Series) -> None:
         self.story, self._run, self.timed, self._told = RunStory(), None, [], []
         self._episodes = [entry.uuid for entry in series.entries]
+        self._whole = ", ".join((f"Series {series.name}", series.plan)).rstrip(", ")
         count = len(series.entries)
         self._page.score.show_facts("1 episode" if count == 1 else f"{count} episodes",
                                     series.facts)  # fmt: skip
@@ -214,6 +221,7 @@ class ReviewPresenter:
     def _show_trial(self, trial: TimedTrial) -> None:
         assert self._run is not None
         self.file = self._run / NAME
+        self.caption = trial_caption(self._run.name, trial)
         face, bottom = (
             self.library.face(trial.head.piece),
             self.library.face(trial.head.bottom.split("+")[-1]),
@@ -240,6 +248,7 @@ class ReviewPresenter:
         entry = shown.entry
         self.file = self.library.folder / entry.path
         self.timed = [shown.trial]
+        self.caption = episode_caption(self._whole, entry)
         faces = self.library.face(entry.piece), self.library.face(entry.bottom)
         self.replay.show(shown.trial, *faces, told=self._told)
         self.replay.take(shown.recorded)

@@ -7,9 +7,10 @@ from pathlib import Path
 
 from app.label.commits import Commits
 from app.label.post import Post
-from app.review.exports import export_picture, export_table, open_outside, stamped
+from app.review.exports import export_table, open_outside, stamped
 from app.review.library import Library
 from app.review.page import ReviewIntents, ReviewPage
+from app.review.picture import export_picture
 from app.review.presenter import ReviewPresenter
 from app.workspace import Command, Desk, Workspace
 from backend.runs.store import dataset_folder
@@ -82,9 +83,19 @@ class ReviewWorkspace(Workspace):
         self.page.film.play_or_pause()
 
     def _picture(self) -> None:
-        if self.presenter.file is not None:
-            name = stamped(f"review-{self.presenter.replay.cursor_s:.2f}s")
-            self._export(lambda: export_picture(self.page.shown, self.exports, name)[0])
+        if self.presenter.file is None:
+            self._desk.say("Nothing is chosen that could be pictured.")
+            return
+        name, caption = stamped(f"review-{self.presenter.replay.cursor_s:.2f}s"), self._caption()
+        self._export(
+            lambda: export_picture(self.page.shown, self._desk.theme, self.exports, name, caption)[
+                0
+            ]
+        )
+
+    def _caption(self) -> str:
+        at_s = self.presenter.replay.cursor_s
+        return f"{self.presenter.caption}, at {at_s:.2f} s"
 
     def _table(self) -> None:
         def write(text: str) -> None:

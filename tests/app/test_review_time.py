@@ -1,6 +1,7 @@
 """One line of time in Review: every view shows the newest sample that is not after the cursor."""
 
 import csv
+import html
 import io
 from dataclasses import replace
 
@@ -274,7 +275,17 @@ def test_pictures_and_tables_are_written(told, tmp_path):
     (svg,) = (tmp_path / "exports").glob("*.svg")
     (table,) = (tmp_path / "exports").glob("*.csv")
     assert QImage(str(png)).width() == review.page.shown.width()
+    assert QImage(str(png)).height() > review.page.shown.height()
     assert QSvgRenderer(str(svg)).isValid()
+    head = review.presenter.story.head
+    words = f"Run {review.presenter.file.parent.name}: pot on {head.bottom}, trial 1, seed "
+    drawn = html.unescape(svg.read_text())
+    assert words in drawn
+    assert f"at {review.replay.cursor_s:.2f} s" in drawn
+    for button in ("Picture", "Table", "Open file", "Play"):
+        assert f">{button}<" not in drawn
+    assert ">Belief map<" in drawn
+    assert review.page.play.isVisible()
     rows = list(csv.DictReader(io.StringIO(table.read_text())))
     assert [int(row["probe"]) for row in rows] == [1, 2, 3]
     assert [float(row["decided_s"]) for row in rows] == pytest.approx(decided_s)

@@ -19,7 +19,7 @@ from app.link import Link
 from app.measure import Measurement
 from app.review.workspace import ReviewWorkspace
 from app.settings import settings_path
-from backend.runs.store import data_folder, models_folder
+from backend.runs.store import calibrations_folder, data_folder, models_folder
 
 SWITCH_S = 0.0005
 """Window and bench hand over to each other this often.
@@ -78,6 +78,7 @@ def live_bench(settings: Path | None = None) -> Link:
     """Build the simulated bench with a first scene to look at (on the connecting thread)."""
     # Imported here, on the connecting thread: the window is there meanwhile.
     from backend.assembly import SimulatedBenchChoice, simulated_session
+    from backend.calibration.store import CalibrationStore
     from backend.learning.registry import Registry
     from backend.runs.requests import SceneChoice
     from backend.session import Keep
@@ -88,6 +89,7 @@ def live_bench(settings: Path | None = None) -> Link:
         animate=_can_animate(),
         registry=Registry(models_folder()),
     )
+    session.calibrations = CalibrationStore(calibrations_folder(), "simulated")
     session.prepare(SceneChoice())
     settle_memory()
     return session

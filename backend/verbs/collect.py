@@ -24,7 +24,7 @@ from backend.core.facts import (
 )
 from backend.core.faults import InputError
 from backend.runs.requests import CollectRequest
-from backend.runs.store import data_folder, dataset_folder
+from backend.runs.store import calibrations_folder, data_folder, dataset_folder
 from backend.runs.words import hand_over
 from backend.verbs.connecting import (
     add_lab_arguments,
@@ -173,6 +173,7 @@ class _Told:
 @contextmanager
 def _session(args: argparse.Namespace, screen: Screen, *, lab: bool) -> Iterator[Session]:
     from backend.assembly import SimulatedBenchChoice, simulated_session
+    from backend.calibration.store import CalibrationStore
     from backend.session import Keep
 
     runs = Path(args.runs) if args.runs else data_folder() / "runs"
@@ -192,6 +193,7 @@ def _session(args: argparse.Namespace, screen: Screen, *, lab: bool) -> Iterator
         pieces=Path(args.pieces) if args.pieces else None,
     )
     session = simulated_session(choice, keep=keep, method=method)
+    session.calibrations = CalibrationStore(calibrations_folder(), "simulated")
     try:
         yield session
     finally:

@@ -24,7 +24,7 @@ from backend.core.facts import (
 from backend.core.faults import InputError
 from backend.core.flow import Outcome
 from backend.runs.requests import Mode, StackRequest
-from backend.runs.store import data_folder, models_folder
+from backend.runs.store import calibrations_folder, data_folder, models_folder
 from backend.verbs.connecting import (
     add_lab_arguments,
     ask_on_a_thread,
@@ -159,6 +159,7 @@ def _session(
 ) -> Iterator[Session]:
     """Open a session on the simulated, emulated or real bench; close it in the end."""
     from backend.assembly import SimulatedBenchChoice, simulated_session
+    from backend.calibration.store import CalibrationStore
     from backend.learning.registry import Registry
 
     if not isinstance(choice, SimulatedBenchChoice):
@@ -175,6 +176,7 @@ def _session(
             yield bench.session
         return
     session = simulated_session(choice, keep=keep, method=method, animate=True, registry=registry)
+    session.calibrations = CalibrationStore(calibrations_folder(), "simulated")
     try:
         yield session
     finally:

@@ -69,8 +69,14 @@ class Decisions:
         now, book, person = self._on.present, self._on.book, self._on.sitting.person
         if now is not None:
             uuid, label, looked = now.item.entry.uuid, now.edit.label, self._on.looked()
+            verdict = now.verdict
+
+            def answered(_: object) -> None:
+                self._on.walk.answered.add(uuid)
+                self._on.go_on()
+
             self._on.saving.save(
-                lambda: book.opinion(person, uuid, label, looked=looked), self._then_next
+                lambda: book.opinion(person, uuid, label, verdict=verdict, looked=looked), answered
             )
 
     def _approve(self) -> None:
@@ -115,7 +121,10 @@ class Decisions:
     def _say_verdict(self, word: str) -> None:
         said: dict[str, Verdict] = {"stable": "stable", "unstable": "unstable", "unsure": "unsure"}
         now = self._on.present
-        if now is not None:
+        if now is not None and self._on.sitting.opines:
+            now.verdict = said[word]
+            self._on.show_edit()
+        elif now is not None:
             label = now.edit.base.label
             self._with_present(
                 lambda person, uuid: self._on.book.set(person, uuid, label, verdict=said[word])

@@ -103,6 +103,7 @@ class LabelPresenter:
         self.choose_queue(FINDING)
 
     def _take_queue(self, queue: Queue, stay: str) -> None:
+        self.walk.blind = self.sitting.opines
         self.walk.begin(*queue, stay)
         self._show_present()
 
@@ -232,8 +233,14 @@ class LabelPresenter:
         if now is None:
             page.strip.show_label("", (), "")
             return
+        if self.sitting.opines:
+            said = (f"says {now.verdict}",) if now.verdict else ()
+            answered = now.item.entry.uuid in self.walk.answered
+            saved = "answered blind" if answered else "blind, not answered yet"
+            page.strip.show_label("unlabelled", said, "unsaved" if trouble is not None else saved)
+            return
         if trouble is not None or now.edit.changed:
-            saved = "not saved yet" if self.sitting.opines else "unsaved"
+            saved = "unsaved"
         else:
             saved = f"saved {clock(now.edit.base.at_ns)}, rev {len(now.history)}"
         badges = self._badges

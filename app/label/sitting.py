@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from app.label.edit import Edit
 from app.label.item import LabelItem
-from backend.catalogue.values import Revision
+from backend.catalogue.values import Revision, Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +45,9 @@ class Sitting:
 
 @dataclass(slots=True)
 class Present:
-    """The episode in front."""
+    """The episode in front. ``verdict``: what is said blind, kept with the opinion."""
 
     item: LabelItem
     edit: Edit
     history: list[Revision] = field(default_factory=list)
+    verdict: Verdict | None = None

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from app.label.item import LabelItem
 from app.label.prefetch import Prefetch, around
 from app.label.sitting import Sitting
-from app.label.words import FINDING, row_of
+from app.label.words import FINDING, blind_row, row_of
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.values import EpisodeEntry
 from backend.core.faults import InputError
@@ -37,6 +37,10 @@ class Walk:
         self.badges: dict[str, tuple[str, ...]] = {}
         self.at = -1
         self.begun = False
+        self.blind = False
+        """Whether rows keep to themselves how far an episode has come."""
+        self.answered: set[str] = set()
+        """Episodes that were answered blind since the queue was read."""
 
     @property
     def uuid(self) -> str | None:
@@ -46,6 +50,7 @@ class Walk:
     def begin(self, order: Sequence[str], entries: Mapping[str, EpisodeEntry], stay: str) -> None:
         """Take a queue; begin with ``stay`` if it is in it, else with the first."""
         self.begun = True
+        self.answered.clear()
         self.order, self.entries = list(order), dict(entries)
         self._rows.show_rows([self._row(uuid) for uuid in self.order])
         self.at = self.order.index(stay) if stay in self.order else (0 if self.order else -1)
@@ -98,6 +103,8 @@ class Walk:
 
     def _row(self, uuid: str) -> LabelRow:
         entry = self.entries[uuid]
+        if self.blind:
+            return blind_row(entry, answered=uuid in self.answered)
         return row_of(entry, entry.state, self.badges.get(uuid, ()))
 
     def _want(self) -> None:

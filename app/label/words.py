@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
@@ -131,6 +132,12 @@ def row_of(entry: EpisodeEntry, state: LabelState, badges: Sequence[str] = ()) -
     ]
     title = f"{entry.piece} on {entry.bottom}"
     return LabelRow(entry.uuid, title, when, state, (*marks, *badges))
+
+
+def blind_row(entry: EpisodeEntry, *, answered: bool) -> LabelRow:
+    """Return the row of an episode that is answered blind: nothing tells gold from the rest."""
+    plain = row_of(replace(entry, flagged=False, conflict=False), "unlabelled")
+    return replace(plain, badges=("answered",) if answered else ())
 
 
 def operation_words(operation: Operation) -> str:

@@ -310,9 +310,14 @@ class LabelWorkspace(Workspace):
         """Turn blind mode on or off; what is answered blind begins without a displacement."""
 
         def turn() -> None:
+            opined = self.sitting.opines
             self.sitting.blind = not self.sitting.blind
-            self.on(LabelPresenter.reload)
-            self.label_page.say(f"Blind mode is {'on' if self.sitting.blind else 'off'}.")
+            words = f"Blind mode is {'on' if self.sitting.blind else 'off'}."
+            if self.sitting.opines is not opined:
+                self.on(lambda p: p.read_with_news(words))
+            else:
+                self.on(LabelPresenter.reload)
+                self.label_page.say(words)
 
         if self.presenter is None:
             turn()

@@ -178,3 +178,36 @@ def test_labels_without_displacement_ask_for_one(desk):
     desk.press(KEY.Key_Right)
     desk.settle()
     assert desk.book.head(desk.uuid).label == Label(100, 0, 0, 200)
+
+
+def test_gold_looks_like_the_rest_of_a_blind_audit_and_a_verdict_there_changes_no_label(desk):
+    presenter, order = desk.workspace.presenter, desk.workspace.presenter.walk.order
+    gold, other = order[:2]
+    for uuid in (gold, other):
+        desk.book.accept("Bob", uuid)
+    desk.book.approve("Cleo", gold)
+    desk.book.flag("Cleo", gold)
+    heads = {uuid: desk.book.head(uuid) for uuid in (gold, other)}
+    desk.workspace.sitting.queue = "audit"
+    desk.do((KEY.Key_B, CTRL))  # from here on answers are opinions
+    entries = {e.uuid: e for e in presenter.dataset.episodes()}
+    presenter.walk.begin([gold, other], entries, "")
+    presenter.go_to(0)
+    desk.settle()
+    page, seen = desk.page, []
+    for uuid in (gold, other):
+        assert desk.uuid == uuid
+        row = page.list.rows()[presenter.walk.at]
+        seen.append((
+            row.state, row.badges, page.strip.state, page.strip.badges, page.strip.saved,
+            page.basis.text(), page.message.text(), page.side.history.list.count(),
+        ))  # fmt: skip
+        desk.do(KEY.Key_V, KEY.Key_S)
+        assert "says stable" in page.strip.badges
+        desk.type("1,2")
+        desk.do(KEY.Key_Return, KEY.Key_Return)
+    assert seen[0] == seen[1]
+    assert [row.badges for row in page.list.rows()] == [("answered",)] * 2
+    assert {uuid: desk.book.head(uuid) for uuid in heads} == heads
+    kept = desk.workspace.presenter.dataset.labels.log(actor="Ann", limit=2)
+    assert [o.body["opinions"][0]["verdict"] for o in kept] == ["stable", "stable"]

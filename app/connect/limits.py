@@ -32,6 +32,9 @@ TITLES = {
     "contact_speed_mm_s": "Speed near contact",
     "recovery_mm_s": "Speed in recovery",
     "near_mm": "Near the surface below",
+    "tilt_rad": "Tilt of the hand",
+    "turn_rad_s": "Speed of turning",
+    "turn_clear_mm": "Room below to turn",
     "contact_n": "Counts as contact",
     "jog_guard_n": "Guard while jogging",
     "press_n": "Press",
@@ -43,7 +46,15 @@ TITLES = {
     "frame_age_s": "Oldest picture",
 }
 """Every limit, in the order of the sheet."""
-UNITS = {"mm_s": "mm/s", "nm": "N\N{MIDDLE DOT}m", "mm": "mm", "n": "N", "s": "s"}
+UNITS = {
+    "mm_s": "mm/s",
+    "rad_s": "rad/s",
+    "rad": "rad",
+    "nm": "N\N{MIDDLE DOT}m",
+    "mm": "mm",
+    "n": "N",
+    "s": "s",
+}
 
 
 class LimitsPresenter:

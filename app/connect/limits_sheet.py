@@ -97,7 +97,7 @@ class LimitsSheet(QDialog):
         for index, row in enumerate(rows):
             box = self.boxes[row.name] = QDoubleSpinBox()
             box.setRange(-WIDEST, WIDEST)
-            box.setDecimals(1 if row.unit != "N\N{MIDDLE DOT}m" else 2)
+            box.setDecimals(1 if row.unit in ("mm", "mm/s", "N", "s") else 3)
             box.setSuffix(f" {row.unit}")
             box.setAccessibleName(row.title)
             box.setKeyboardTracking(False)

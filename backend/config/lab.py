@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,6 +50,9 @@ class LimitSettings(Settings):
     jog_guard_n: Positive = 15.0
     near_mm: NonNegative = 10.0
     recovery_mm_s: Positive = 5.0
+    tilt_rad: Annotated[float, Field(gt=0, le=math.pi / 2)] = math.radians(15.0)
+    turn_rad_s: Positive = math.radians(15.0)
+    turn_clear_mm: NonNegative = 20.0
     wrench_age_s: Positive = 0.3
     frame_age_s: Positive = 0.5
 

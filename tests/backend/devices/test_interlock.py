@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from backend.core.faults import Fault, RefusedError
+from backend.core.flow import Pose
 from backend.devices.interlock import (
     LEASE_S,
     VERDICT_ROWS,
@@ -18,6 +19,7 @@ from backend.devices.interlock import (
     ReleaseEvidence,
     release_refusal,
 )
+from backend.devices.jog_limits import outside_box_mm, room_mm
 
 GOOD = ReleaseEvidence(
     verdict_stable=True,
@@ -140,3 +142,14 @@ def test_the_override_keeps_its_range_and_starts_at_full_speed() -> None:
         with pytest.raises(RefusedError, match="OVERRIDE"):
             interlock.override_speed(share)
     assert interlock.override == 0.1
+
+
+def test_the_box_ends_room_and_targets_before_the_reach_does():
+    limits = dataclasses.replace(Limits(), most_x_mm=40.0, least_y_mm=-30.0)
+    here = Pose(10.0, -10.0, 50.0)
+    assert room_mm(here, (1.0, 0.0, 0.0), limits) == pytest.approx(30.0)
+    assert room_mm(here, (0.0, -1.0, 0.0), limits) == pytest.approx(20.0)
+    diagonal = (math.sqrt(0.5), -math.sqrt(0.5), 0.0)
+    assert room_mm(here, diagonal, limits) == pytest.approx(20.0 * math.sqrt(2.0))
+    assert outside_box_mm(here, limits) == 0.0
+    assert outside_box_mm(Pose(45.0, -60.0, 50.0), limits) == pytest.approx(30.0)

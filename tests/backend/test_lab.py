@@ -1,0 +1,81 @@
+"""A session on a lab file before anything is connected: nothing moves, and STOP is at hand."""
+
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+
+from backend.core.faults import InputError, RefusedError
+from backend.devices.protocols import DeviceState
+from backend.lab import LabChoice, lab_session
+from backend.runs.requests import ProbeRequest, SceneChoice, SetRequest, StackRequest
+from backend.session import Keep
+from tests.backend.rig.scripted import LINES, scripted
+
+TEMPLATE = Path(str(files("resources"))) / "benches" / "lab.toml"
+
+
+@pytest.fixture
+def session(tmp_path):
+    text = TEMPLATE.read_text().replace("press_n = 25.0", "press_n = 20.0")
+    path = tmp_path / "lab.toml"
+    path.write_text(text.replace('piece = "pot"', 'piece = "mushroom"'))
+    made = lab_session(LabChoice(path), keep=Keep(tmp_path / "runs"))
+    yield made
+    made.close()
+
+
+def test_it_is_called_by_its_name_and_knows_its_limits(session, tmp_path):
+    assert (session.name, session.facts.mode, session.simulated) == ("My lab", "hardware", False)
+    assert session.interlock.limits.press_n == 20.0
+    assert session.limits_source == str(tmp_path / "lab.toml")
+    assert list(session.devices) == list(LINES)
+    assert {device.state for device in session.devices.values()} == {DeviceState.CLOSED}
+    assert session.hand is None
+
+
+@pytest.mark.parametrize("request_", [ProbeRequest(), SetRequest(SceneChoice()), StackRequest()])
+def test_nothing_starts_before_all_are_connected(session, request_):
+    with pytest.raises(RefusedError, match=r"Not connected: force_torque.*Ctrl\+L"):
+        session.start(request_)
+
+
+@pytest.mark.parametrize(
+    ("request_", "reason"),
+    [
+        (StackRequest(trials=2), "ONE-TRIAL"),
+        (StackRequest(strategy="pick-and-place"), "SIMULATED-ONLY"),
+    ],
+)
+def test_what_only_a_simulation_can_do_is_refused(session, request_, reason):
+    with pytest.raises(RefusedError) as caught:
+        session.start(request_)
+    assert caught.value.reason == reason
+
+
+def test_stop_reaches_arm_and_gripper_before_there_is_a_scene(session):
+    devices, log = scripted()
+    session.connection.devices.update(devices)
+    session.interlock.forget_stoppers()
+    session.join(session.connection, "Bench", session.interlock.limits, "lab.toml")
+    session.stop()
+    assert log == ["stop arm", "stop gripper"]
+    with pytest.raises(RefusedError, match="stopped"):
+        session.home_gripper()
+
+
+def test_a_model_of_simulations_does_not_decide_alone_here(session):
+    choice = StackRequest(piece="mushroom", bottoms=("short",)).scene()
+    with pytest.raises(InputError, match=r"must not run in auto mode here: bench mode"):
+        session._check(choice)
+    asked = StackRequest(piece="mushroom", bottoms=("short",), mode="approve").scene()
+    told = session._check(asked)
+    assert told["lab"]["name"] == "My lab"
+    assert told["model"]["piece"] == "mushroom"
+
+
+def test_a_bottom_that_nobody_knows_is_said_before_any_device_is_touched(tmp_path):
+    path = tmp_path / "lab.toml"
+    path.write_text(TEMPLATE.read_text().replace('bottom = "short"', 'bottom = "moon"'))
+    with pytest.raises(InputError, match="moon"):
+        lab_session(LabChoice(path))

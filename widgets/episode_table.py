@@ -1,28 +1,31 @@
-"""The probes of a pair as a table: status, flag, quality, displacement, time."""
+"""The probes of a pair as a table: columns to choose, and to sort by."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from PySide6.QtCore import QAbstractTableModel, QModelIndex, QPersistentModelIndex, Qt
+from PySide6.QtCore import QAbstractTableModel, QModelIndex, QPersistentModelIndex, QPoint, Qt
 from PySide6.QtGui import QFontMetrics, QKeyEvent
-from PySide6.QtWidgets import QHeaderView, QTableView, QWidget
+from PySide6.QtWidgets import QHeaderView, QMenu, QTableView, QWidget
 
 from widgets.theme import Theme, ui_font
 
 Index = QModelIndex | QPersistentModelIndex
 ROOT = QModelIndex()
-HEADS = ("No.", "Status", "Quality", "x, y (mm)", "Time")
+HEADS = ("No.", "Status", "Quality", "x, y (mm)", "Time", "Grip", "Person")
 RIGHT = frozenset((0, 3, 4))
-WIDTHS_EM = (2.2, 4.6, 4.0, 5.6, 4.1)
-QUALITY = 2
+WIDTHS_EM = (2.2, 4.6, 4.0, 5.6, 4.1, 3.4, 4.6)
+NUMBER, QUALITY, TIME = 0, 2, 4
 
 
 @dataclass(frozen=True, slots=True)
 class EpisodeRow:
-    """One probe. ``status``: state of its label or "deleted"; ``quality``: ok, or why not."""
+    """One probe. ``status``: state of its label or "deleted"; ``quality``: ok, or why not.
+
+    ``distance_mm``: how far it is displaced, which its column sorts by.
+    """
 
     uuid: str
     number: str
@@ -32,11 +35,31 @@ class EpisodeRow:
     time: str
     flagged: bool = False
     deleted: bool = False
+    grip: str = ""
+    person: str = ""
+    distance_mm: float = 0.0
 
     def cells(self) -> tuple[str, ...]:
         """Return the texts of the row."""
         flag = "\N{BLACK FLAG} " if self.flagged else ""
-        return self.number, f"{flag}{self.status}", self.quality, self.where, self.time
+        status = f"{flag}{self.status}"
+        return self.number, status, self.quality, self.where, self.time, self.grip, self.person
+
+    def keys(self) -> tuple[float | str, ...]:
+        """Return what each column sorts by."""
+        number = float(self.number)
+        return (
+            number, self.status, self.quality, self.distance_mm, number, self.grip, self.person,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Arrangement:
+    """Which columns are shown, and which one the rows are sorted by."""
+
+    columns: tuple[str, ...] = HEADS[:5]
+    sort: str = HEADS[NUMBER]
+    descending: bool = True
 
 
 class EpisodeTable(QTableView):
@@ -45,6 +68,8 @@ class EpisodeTable(QTableView):
     def __init__(self, theme: Theme, choose: Callable[[str], None]) -> None:
         super().__init__()
         self._theme, self._choose = theme, choose
+        self._all: Sequence[EpisodeRow] = ()
+        self._arrangement = Arrangement()
         self._rows = _Rows(self)
         self.setModel(self._rows)
         self.setAccessibleName("Episodes")
@@ -61,13 +86,71 @@ class EpisodeTable(QTableView):
         head.setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
         head.setSectionResizeMode(QUALITY, QHeaderView.ResizeMode.Stretch)
         head.setMinimumSectionSize(20)
+        head.setSectionsClickable(True)
+        head.setSortIndicatorShown(True)
+        head.sectionClicked.connect(self.sort_by)
+        head.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
+        head.customContextMenuRequested.connect(self._offer_columns)
+        head.setToolTip("Click: sort by this column. Right click: choose the columns.")
         self.clicked.connect(lambda index: self._choose(self._rows.rows[index.row()].uuid))
         self.fit_to_theme()
+        self.arrange(self._arrangement)
 
     def show_rows(self, rows: Sequence[EpisodeRow], chosen: str) -> None:
-        """Show these rows, newest first, with one of them marked."""
-        self._rows.show(rows)
+        """Show these rows in the chosen order, with one of them marked."""
+        self._all = rows
+        column = HEADS.index(self._arrangement.sort)
+        newest = sorted(rows, key=lambda row: row.keys()[NUMBER], reverse=True)
+        down = self._arrangement.descending
+        self._rows.show(sorted(newest, key=lambda row: row.keys()[column], reverse=down))
         self.mark(chosen)
+
+    @property
+    def arrangement(self) -> Arrangement:
+        """Columns and order."""
+        return self._arrangement
+
+    def arrange(self, wanted: Arrangement) -> None:
+        """Take columns and order; raises ``ValueError`` for columns that there are not."""
+        if not wanted.columns or not {*wanted.columns, wanted.sort} <= set(HEADS):
+            raise ValueError("there is no such column")
+        chosen = self.chosen()
+        self._arrangement = wanted
+        for column, name in enumerate(HEADS):
+            self.setColumnHidden(column, name not in wanted.columns)
+        head = self.horizontalHeader()
+        head.setStretchLastSection(self.isColumnHidden(QUALITY))
+        order = Qt.SortOrder.DescendingOrder if wanted.descending else Qt.SortOrder.AscendingOrder
+        head.setSortIndicator(HEADS.index(wanted.sort), order)
+        self.show_rows(self._all, chosen)
+
+    def sort_by(self, column: int) -> None:
+        """Sort by a column, the other way round if it is the one already."""
+        now, name = self._arrangement, HEADS[column]
+        down = not now.descending if now.sort == name else column in (NUMBER, TIME)
+        self.arrange(replace(now, sort=name, descending=down))
+
+    def sort_by_next(self) -> None:
+        """Sort by the next column that is shown."""
+        shown = [column for column, name in enumerate(HEADS) if name in self._arrangement.columns]
+        at = HEADS.index(self._arrangement.sort)
+        self.sort_by(next((column for column in shown if column > at), shown[0]))
+
+    def show_column(self, column: int, *, shown: bool) -> None:
+        """Show or hide a column; the last one stays."""
+        now, name = self._arrangement, HEADS[column]
+        wanted = [one for one in HEADS if (one in now.columns if one != name else shown)]
+        if wanted:
+            self.arrange(replace(now, columns=tuple(wanted)))
+
+    def choose_columns(self) -> None:
+        """Offer the columns in a menu below the heads."""
+        self._offer_columns(self.horizontalHeader().rect().bottomLeft())
+
+    def chosen(self) -> str:
+        """Return the uuid of the marked row, "" if none is."""
+        index = self.currentIndex()
+        return self._rows.rows[index.row()].uuid if index.isValid() else ""
 
     def rows(self) -> Sequence[EpisodeRow]:
         """Return what is shown."""
@@ -89,6 +172,16 @@ class EpisodeTable(QTableView):
         self.verticalHeader().setDefaultSectionSize(round(1.45 * em))
         for column, width in enumerate(WIDTHS_EM):
             self.setColumnWidth(column, round(width * em))
+
+    def _offer_columns(self, at: QPoint) -> None:
+        menu = QMenu(self)
+        menu.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        for column, name in enumerate(HEADS):
+            action = menu.addAction(name)
+            action.setCheckable(True)
+            action.setChecked(not self.isColumnHidden(column))
+            action.triggered.connect(lambda on, column=column: self.show_column(column, shown=on))
+        menu.popup(self.horizontalHeader().mapToGlobal(at))
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Leave letters and Enter to the page."""

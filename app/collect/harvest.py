@@ -191,7 +191,15 @@ def row_of(number: int, held: Held) -> EpisodeRow:
         f"{local:%H:%M:%S}" if local.date() == today else f"{local:%y-%m-%d}",
         flagged=entry.flagged,
         deleted=entry.deleted,
+        grip=grip_words(entry.grip_id),
+        person=entry.person,
+        distance_mm=float(np.nan_to_num(np.hypot(*held.offset_mm), nan=-1.0)),
     )
+
+
+def grip_words(grip_id: str) -> str:
+    """Return mounting and grip of a campaign such as "1.3", or the name that others gave."""
+    return ".".join(part.rpartition("-")[2] for part in grip_id.split("/")[-2:])
 
 
 def quality_words(quality: EpisodeQuality) -> str:

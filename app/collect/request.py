@@ -7,6 +7,7 @@ from dataclasses import fields
 
 from backend.runs.collect_plan import Pattern
 from backend.runs.requests import CollectRequest
+from widgets.episode_table import Arrangement
 from widgets.target_panel import TargetForm
 
 
@@ -40,3 +41,13 @@ def form_of(memory: Mapping[str, object]) -> tuple[TargetForm, list[str]]:
         else:
             dropped.append(entry.name)
     return TargetForm(**known), dropped  # type: ignore[arg-type]
+
+
+def arrangement_of(memory: object) -> Arrangement:
+    """Return columns and order of the list; raises ``ValueError`` for what makes no sense."""
+    match memory:
+        case None:
+            return Arrangement()
+        case {"columns": [*columns], "sort": str(sort), "descending": bool(descending)}:
+            return Arrangement(tuple(str(name) for name in columns), sort, descending)
+    raise ValueError("no columns")

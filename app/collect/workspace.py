@@ -9,7 +9,7 @@ from app.collect.by_half import by_half
 from app.collect.origin import note_of
 from app.collect.page import CollectIntents, CollectPage
 from app.collect.presenter import CollectPresenter
-from app.collect.request import form_of
+from app.collect.request import arrangement_of, form_of
 from app.label.commits import Commits
 from app.label.halves import Halves
 from app.label.opening import Opened
@@ -104,6 +104,7 @@ class CollectWorkspace(Workspace):
             "half": self.page.front,
             "target": asdict(self.collect_page.target.form()),
             "signal": self.collect_page.signal.currentIndex(),
+            "list": asdict(self.collect_page.table.arrangement),
             "origin": None if note is None else note.memory(),
         }
 
@@ -123,6 +124,10 @@ class CollectWorkspace(Workspace):
             self.collect_page.signal.setCurrentIndex(signal)
         else:
             dropped.append("signal")
+        try:
+            self.collect_page.table.arrange(arrangement_of(memory.get("list")))
+        except ValueError:
+            dropped.append("list")
         try:
             self.presenter.origin.show_note(note_of(memory.get("origin")))
         except ValueError:
@@ -233,8 +238,12 @@ class CollectWorkspace(Workspace):
             Command("again", "Redo the probe", "R", lambda: decide("redo")),
             Command("leave-out", "Skip: leave its place out", "S", lambda: decide("skip")),
             Command("person", "Say who collects", "Ctrl+U", self.collect_page.target.ask_person),
+            Command("columns", "Choose the columns of the episodes", "",
+                    self.collect_page.table.choose_columns),
+            Command("sort", "Sort the episodes by the next column", "",
+                    self.collect_page.table.sort_by_next),
             Command("fit", "Fit the force and moment ranges", "Ctrl+F", self.collect_page.fit),
-        )
+        )  # fmt: skip
 
 
 def _unseen(_: object) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QMenu
 
 from app.application import TouchdownApp
 from app.collect.origin import note_of
@@ -33,6 +33,7 @@ from tests.app.conftest import settle
 from tests.app.label.conftest import make_episode
 from tests.app.stand_in import StandInBench
 from widgets.distribution_view import NEAR_PX
+from widgets.episode_table import HEADS, Arrangement
 
 KEY = Qt.Key
 PROBES = 6
@@ -360,6 +361,41 @@ def test_a_discarded_probe_can_be_collected_again_without_a_restart(page):
     page.settle()
     assert target.bar.value() == PROBES - 1
     assert target.go_on.isEnabled()
+
+
+def test_the_list_is_sorted_by_a_click_and_its_columns_are_chosen_and_remembered(page, qtbot):
+    table, head = page.view.table, page.view.table.horizontalHeader()
+    page.presenter.probes.choose(page.uuids[1])
+    settle(page.main)
+
+    def click(column):
+        at = QPoint(head.sectionViewportPosition(column) + 8, head.height() // 2)
+        QTest.mouseClick(head.viewport(), Qt.MouseButton.LeftButton, pos=at)
+
+    click(3)
+    away = [row.distance_mm for row in table.rows()]
+    assert away == sorted(away)
+    click(3)
+    assert [row.distance_mm for row in table.rows()] == away[::-1]
+    assert table.chosen() == page.presenter.probes.shown
+    assert table.isColumnHidden(HEADS.index("Person"))
+    table.choose_columns()
+    menu = table.findChild(QMenu)
+    for name in ("Person", "Time"):
+        next(a for a in menu.actions() if a.text() == name).trigger()
+    menu.close()
+    assert not table.isColumnHidden(HEADS.index("Person"))
+    assert {row.cells()[-1] for row in table.rows()} == {"setup"}
+    memory = page.workspace.memory()
+    table.arrange(Arrangement())
+    assert page.workspace.recall(memory) == []
+    assert table.arrangement == Arrangement(
+        (*HEADS[:4], "Person"), sort="x, y (mm)", descending=True
+    )
+    assert page.workspace.recall({**memory, "list": {"columns": ["Mood"]}}) == ["list"]
+    for column in range(len(HEADS)):
+        table.show_column(column, shown=False)
+    assert not all(table.isColumnHidden(column) for column in range(len(HEADS)))
 
 
 def test_the_check_of_the_origin_is_dated_used_once_and_remembered(page, qapp, tmp_path):

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from app.collect.gauge import Pace, RecorderGauge, time_words
-from app.collect.harvest import Harvest, pair_words
+from app.collect.harvest import Harvest, grip_words, pair_words
 from app.collect.origin import OriginNote, note_of, residual_words
 from backend.objects.catalogue import load_catalogue
 
@@ -48,6 +48,11 @@ def test_notes_that_make_no_sense_are_refused():
             note_of(bad)
     far = OriginNote((1.0, 0.0), 0.1, False, "2026-01-01 10:00")
     assert "does not agree" in residual_words(far)
+
+
+def test_a_grip_in_words():
+    assert grip_words("0190-campaign/mounting-2/grip-3") == "2.3"
+    assert grip_words("g1") == "g1"
 
 
 def test_a_displacement_in_words():

@@ -157,7 +157,7 @@ class Stage:
             yield f"operate-contact-look-{look}"
         page.looks.setCurrentIndex(0)
         page.jog.show_armed(True)
-        page.jog._steps[2].setChecked(True)
+        page.jog.pace.steps[2].setChecked(True)
         yield "operate-keys-armed"
         page.jog.show_armed(False)
         self.bench._now_us += 1_200_000

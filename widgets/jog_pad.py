@@ -1,94 +1,124 @@
-"""Jogging: hold-to-run pads and steps, frame and speed, pose with age, room to the limits."""
+"""Jogging: hold-to-run pads and steps in three frames, pose with age, room to the limits."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from PySide6.QtCore import Qt
 from PySide6.QtWidgets import (
-    QButtonGroup,
     QComboBox,
-    QDoubleSpinBox,
     QGridLayout,
     QHBoxLayout,
-    QLabel,
     QPushButton,
     QSizePolicy,
-    QSlider,
     QWidget,
 )
 
 from widgets.elided import ElidedLabel
 from widgets.hold_button import Hold, HoldButton
+from widgets.jog_pace import JogPace, Pace
 from widgets.panel import Panel, label, set_property
 
-MINUS = "\N{MINUS SIGN}"
-SLOWEST_MM_S, FASTEST_MM_S, USUAL_MM_S = 1.0, 50.0, 20.0
-HOLD = "hold"
-PLACES = (
+MINUS, DEGREE = "\N{MINUS SIGN}", "\N{DEGREE SIGN}"
+JOINTS = 6
+MOVES = (
     ("+y", 0, 1), ("-x", 1, 0), ("+x", 1, 2), ("-y", 2, 1), ("+z", 0, 3), ("-z", 2, 3),
 )  # fmt: skip
+TURNS = tuple((f"{what[0]}r{what[1]}", row, column) for what, row, column in MOVES)
+JOINT_PADS = tuple(
+    (f"{sign}j{joint + 1}", joint // 2, 2 * (joint % 2) + at)
+    for joint in range(JOINTS)
+    for at, sign in enumerate("-+")
+)
 
 
 @dataclass(frozen=True, slots=True)
 class PoseLook:
-    """Present pose and the room each way, in mm; ``note`` says why it is slow, or why not at all.
+    """Where the hand is and the room each way; ``note`` says why it is slow, or why not at all.
 
-    ``room_mm`` by axis and sign such as "+x"; empty while nothing is known.
+    ``pose``: what the present frame shows, with its unit; "" while nothing is known. ``rooms``: for
+    ways such as "+x" or "-j4", what a pad says below its name. ``turned``: the hand is not level.
     """
 
-    pose_mm: tuple[float, float, float] | None = None
+    pose: str = ""
     age_s: float = 0.0
-    room_mm: tuple[tuple[str, float], ...] = ()
+    rooms: tuple[tuple[str, str], ...] = ()
     note: str = ""
     warn: bool = False
+    turned: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class JogIntents:
+    """What the operator can ask for. ``renew`` is called again and again while a pad is held."""
+
+    renew: Callable[[str], bool]
+    ended: Callable[[str], None]
+    step: Callable[[str], None]
+    arm_keys: Callable[[bool], None]
+    level: Callable[[], None]
 
 
 class JogPad(Panel):
-    """Six pads. With a step chosen a press is one step; otherwise the motion lasts as the press."""
+    """The pads of one frame. With a step chosen a press is one step; else it lasts as the press."""
 
-    def __init__(
-        self,
-        steps_mm: Sequence[float],
-        renew: Callable[[str], bool],
-        ended: Callable[[str], None],
-        step: Callable[[str], None],
-        arm_keys: Callable[[bool], None],
-    ) -> None:
+    def __init__(self, paces: Sequence[Pace], intents: JogIntents) -> None:
+        """``paces``: of moving and of turning."""
         super().__init__("Jog")
-        self._step = step
-        self.hold = Hold(self, renew, ended)
-        self.pads = {what: self._pad(what) for what, _, _ in PLACES}
+        self._intents = intents
+        self.hold = Hold(self, intents.renew, intents.ended)
+        self.pads = {what: self._pad(what) for what, _, _ in (*MOVES, *TURNS, *JOINT_PADS)}
         self.frame = QComboBox()
         self.frame.addItems(["XYZ", "TOOL", "JOINT"])
         self.frame.setAccessibleName("Jog frame")
-        self.frame.setToolTip("XYZ: axes of the bench. TOOL: axes of the hand. (F)")
-        self._steps = self._step_buttons(steps_mm)
-        self.speed, self._slider = QDoubleSpinBox(), QSlider(Qt.Orientation.Horizontal)
+        self.turn = QPushButton("Turn")
+        self.turn.setCheckable(True)
+        self.turn.setProperty("role", "choice")
+        self.turn.setAccessibleName("Turn the hand instead of moving it")
+        self.level = QPushButton("Level")
+        self.level.setAccessibleName("Level the hand")
         self.keys = QPushButton("Arm keys")
         self.keys.setCheckable(True)
         self.keys.setAccessibleName("Arm the jog keys")
-        self.keys.setToolTip("Arrows move X and Y, Page Up and Page Down move Z while this is on. "
-                             "It ends after 30 s without use.")  # fmt: skip
-        self.keys.toggled.connect(arm_keys)
+        self.pace = JogPace(paces)
+        self.speed = self.pace.speed
+        self.joint = 1
+        """The joint that the arrow keys drive in JOINT."""
+        self._ready = self._turns = False
         self._pose, self._note = ElidedLabel(""), label("", "small")
-        self._wire_speed()
+        self._wire()
         self._arrange()
+        self.show_turning("")
+        self._show_frame()
         self.show_look(PoseLook())
 
     @property
-    def step_mm(self) -> float | None:
-        """The chosen step, None while pads are held."""
-        at = self._chosen()
-        return None if at == 0 else float(self._steps[at].text())
+    def turning(self) -> bool:
+        """Whether the pads turn: steps and speed are then in degrees."""
+        return self.frame.currentText() == "JOINT" or self.turn.isChecked()
 
-    def show_joint_reason(self, reason: str) -> None:
-        """Offer JOINT only where it can be had; else say why not ("" offers it)."""
+    @property
+    def step(self) -> float | None:
+        """The chosen step, mm or degrees, None while pads are held."""
+        return self.pace.step
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """The ways that have a pad now."""
+        if self.frame.currentText() == "JOINT":
+            return tuple(what for what, _, _ in JOINT_PADS)
+        return tuple(what for what, _, _ in (TURNS if self.turn.isChecked() else MOVES))
+
+    def show_turning(self, reason: str) -> None:
+        """Offer turning and JOINT only where the arm can; else say why not ("" offers them)."""
         item = self.frame.model().item(2)  # type: ignore[attr-defined]
         item.setEnabled(not reason)
         item.setToolTip(reason)
-        self.frame.setToolTip(f"{self.frame.toolTip()} {reason}".strip())
+        tip = "XYZ: axes of the bench. TOOL: axes of the hand. JOINT: one joint. (F)"
+        self.frame.setToolTip(f"{tip} {reason}".strip())
+        self._turns = not reason
+        self.turn.setVisible(self._turns and self.frame.currentText() != "JOINT")
+        self.level.setVisible(not reason)
 
     def show_armed(self, armed: bool) -> None:
         """Show the ring round the panel while keys move the arm."""
@@ -96,116 +126,116 @@ class JogPad(Panel):
         if self.keys.isChecked() != armed:
             self.keys.setChecked(armed)
         self.keys.setText("Keys armed" if armed else "Arm keys")
+        self._mark_joint()
 
     def show_ready(self, ready: bool, why: str) -> None:
         """Switch all pads off with the reason, or on."""
+        self._ready = ready
         for what, pad in self.pads.items():
             if pad.isEnabled() != ready:
                 pad.setEnabled(ready)
-            pad.setToolTip(f"Jog {what.upper()}" if ready else why)
+            pad.setToolTip(f"Jog {_signed(what)}" if ready else why)
         if self.keys.isEnabled() != ready:
             self.keys.setEnabled(ready)
 
     def show_look(self, look: PoseLook) -> None:
         """Show pose, room and note."""
-        if look.pose_mm is None:
-            pose = "No pose yet"
-        else:
-            x, y, z = (f"{v:.1f}".replace("-", MINUS) for v in look.pose_mm)
-            pose = f"X {x}   Y {y}   Z {z} mm"
-            if look.age_s > 0.2:
-                pose += f"   ({look.age_s:.1f} s old)"
+        old = f"   ({look.age_s:.1f} s old)" if look.pose and look.age_s > 0.2 else ""
+        pose = f"{look.pose}{old}" or "No pose yet"
         for shown, text in ((self._pose, pose), (self._note, look.note)):
             if shown.text() != text:
                 shown.setText(text)
-        for what, room_mm in look.room_mm:
-            text = f"{_signed(what)}\n{room_mm:.0f} mm"
+                self._pose.setToolTip(pose)
+        for what, room in look.rooms:
+            text = f"{_signed(what)}\n{room}"
             if self.pads[what].text() != text:
                 self.pads[what].setText(text)
-                self.pads[what].setAccessibleDescription(f"{room_mm:.0f} mm to the limit")
+                self.pads[what].setAccessibleDescription(room)
         set_property(self._note, "tone", "bad" if look.warn else "")
+        if self.level.isEnabled() != (look.turned and self._ready):
+            self.level.setEnabled(look.turned and self._ready)
 
     def press_key(self, page: QWidget, what: str, key: int) -> None:
-        """Step, or begin to hold, by a key."""
+        """Step, or begin to hold, by a key that means ``what`` while the pads move."""
+        frame = self.frame.currentText()
+        if frame == "JOINT":
+            what = f"{what[0]}j{self.joint}"
+        elif self.turn.isChecked():
+            what = f"{what[0]}r{what[1]}"
         if not self._pressed_step(what):
             self.hold.press(page, what, key)
 
+    def choose_joint(self, joint: int) -> None:
+        """Choose what the arrow keys drive in JOINT; what is held ends."""
+        self.hold.end("another joint was chosen")
+        self.joint = joint
+        self._mark_joint()
+
     def next_step(self, by: int) -> None:
         """Choose the next longer or shorter step; before the shortest is hold-to-run."""
-        at = self._chosen()
-        self._steps[min(max(at + by, 0), len(self._steps) - 1)].setChecked(True)
+        self.pace.next_step(by)
 
     def next_frame(self) -> None:
-        """Choose the other frame that can be had."""
-        self.frame.setCurrentIndex(1 - min(self.frame.currentIndex(), 1))
+        """Choose the next frame that can be had."""
+        offered = [i for i in range(3) if self.frame.model().item(i).isEnabled()]  # type: ignore[attr-defined]
+        at = offered.index(self.frame.currentIndex())
+        self.frame.setCurrentIndex(offered[(at + 1) % len(offered)])
 
     # -- inside -----------------------------------------------------------------------------------
 
-    def _chosen(self) -> int:
-        return next((i for i, button in enumerate(self._steps) if button.isChecked()), 0)
+    def _show_frame(self) -> None:
+        """Show the pads of the chosen frame; whatever is held ends."""
+        self.hold.end("the frame was changed")
+        joint = self.frame.currentText() == "JOINT"
+        self.turn.setVisible(self._turns and not joint)
+        shown = self.shown
+        for what, pad in self.pads.items():
+            pad.setVisible(what in shown)
+        self.pace.show_pace(int(self.turning))
+        keys = "Digits choose a joint, arrows drive it" if joint else (
+            "Arrows turn about X and Y, Page Up and Page Down about Z"
+            if self.turning else "Arrows move X and Y, Page Up and Page Down move Z"
+        )  # fmt: skip
+        self.keys.setToolTip(f"{keys} while this is on. It ends after 30 s without use.")
+        self._mark_joint()
+
+    def _mark_joint(self) -> None:
+        armed = self.keys.isChecked()
+        for what, _, _ in JOINT_PADS:
+            mark = armed and what[1:] == f"j{self.joint}"
+            set_property(self.pads[what], "chosen", "yes" if mark else "no")
 
     def _pad(self, what: str) -> HoldButton:
         pad = _Pad(_signed(what), what, f"Jog {_signed(what)}", self.hold, self._pressed_step)
-        pad.setProperty("axis", what[1])
+        pad.setProperty("axis", what[-1] if what[1] != "j" else "")
         return pad
 
     def _pressed_step(self, what: str) -> bool:
         """Take a press as one step if a step is chosen."""
-        if self.step_mm is None:
+        if self.step is None:
             return False
-        self._step(what)
+        self._intents.step(what)
         return True
 
-    def _step_buttons(self, steps_mm: Sequence[float]) -> list[QPushButton]:
-        group, made = QButtonGroup(self), []
-        for text in ("Hold", *(f"{step:g}" for step in steps_mm)):
-            button = QPushButton(text)
-            button.setProperty("role", "choice")
-            button.setCheckable(True)
-            name = "Hold to run" if text == "Hold" else f"Step of {text} mm"
-            button.setAccessibleName(name)
-            button.setToolTip(f"{name} ([ and ])")
-            group.addButton(button)
-            made.append(button)
-        made[0].setChecked(True)
-        return made
-
-    def _wire_speed(self) -> None:
-        self.speed.setRange(SLOWEST_MM_S, FASTEST_MM_S)
-        self.speed.setDecimals(0)
-        self.speed.setSuffix(" mm/s")
-        self.speed.lineEdit().setTextMargins(6, 0, 0, 0)
-        self.speed.setAccessibleName("Jog speed")
-        self._slider.setRange(int(SLOWEST_MM_S), int(FASTEST_MM_S))
-        self._slider.setAccessibleName("Jog speed")
-        for widget in (self.speed, self._slider):
-            widget.setToolTip("Near the surface and in contact it is 2 mm/s at most")
-        self.speed.valueChanged.connect(self._follow_spin)
-        self._slider.valueChanged.connect(self._follow_slider)
-        self.speed.setValue(USUAL_MM_S)
-
-    def _follow_spin(self, value: float) -> None:
-        self._slider.setValue(round(value))
-
-    def _follow_slider(self, value: int) -> None:
-        self.speed.setValue(value)
+    def _wire(self) -> None:
+        self.keys.toggled.connect(self._intents.arm_keys)
+        self.level.clicked.connect(self._intents.level)
+        self.level.setToolTip("Turn the hand back to straight down, where it is (Shift+T)")
+        self.turn.setToolTip("Turn the hand about these axes instead of moving it (T)")
+        self.level.setEnabled(False)
+        self.frame.currentIndexChanged.connect(self._show_frame)
+        self.turn.toggled.connect(self._show_frame)
 
     def _arrange(self) -> None:
+        self.header.addWidget(self.level)
         self.header.addWidget(self.keys)
-        top, speed, steps = QHBoxLayout(), QHBoxLayout(), QHBoxLayout()
+        top = QHBoxLayout()
         top.addWidget(self._pose, 1)
+        top.addWidget(self.turn)
         top.addWidget(self.frame)
-        speed.addWidget(_buddy("Speed", self.speed))
-        speed.addWidget(self._slider, 1)
-        speed.addWidget(self.speed)
-        steps.setSpacing(4)
-        for button in self._steps:
-            steps.addWidget(button, 1)
-        unit = label("mm", "muted")
-        steps.addWidget(unit)
         pads = QGridLayout()
         pads.setSpacing(4)
-        for what, row, column in PLACES:
+        for what, row, column in (*MOVES, *TURNS, *JOINT_PADS):
             pads.addWidget(self.pads[what], row, column)
         for row in range(3):
             pads.setRowStretch(row, 1)
@@ -214,8 +244,7 @@ class JogPad(Panel):
         pads.setContentsMargins(0, 2, 0, 2)
         self.column.addLayout(top)
         self.column.addLayout(pads, 1)
-        self.column.addLayout(steps)
-        self.column.addLayout(speed)
+        self.column.addWidget(self.pace)
         self._note.setWordWrap(True)
         self._note.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         self.column.addWidget(self._note)
@@ -237,10 +266,4 @@ class _Pad(HoldButton):
 
 
 def _signed(what: str) -> str:
-    return f"{MINUS if what[0] == '-' else '+'}{what[1].upper()}"
-
-
-def _buddy(text: str, field: QWidget) -> QLabel:
-    made = label(text, "muted")
-    made.setBuddy(field)
-    return made
+    return f"{MINUS if what[0] == '-' else '+'}{what[1:].upper()}"

@@ -68,6 +68,7 @@ QPushButton[role="choice"] {{ padding: 2px 6px; min-height: 22px; }}
 QPushButton[role="choice"]:checked, QPushButton:checked {{ background: {selection};
     color: {selection_text}; border-color: {selection}; }}
 QFrame[role="card"][armed="yes"] {{ border: 3px solid {focus}; }}
+QPushButton[role="hold"][chosen="yes"] {{ border: 3px solid {focus}; }}
 
 QComboBox, QAbstractSpinBox, QLineEdit {{ background: {bg}; color: {text};
     border: 1px solid {border}; border-radius: 5px; padding: 3px 8px; min-height: 24px;

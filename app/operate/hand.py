@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from datetime import datetime
+from typing import cast
 
 from app.activity import busy, not_set
 from app.cards import refusal_card
@@ -13,17 +15,30 @@ from app.link import Link
 from app.operate.page import OperatePage
 from backend.core.faults import FaultError, RefusedError, StaleSampleError
 from backend.core.flow import Pose
-from backend.devices.jog import JogOrder
-from backend.devices.jog_axes import AXES, Axis, Frame, way_of
-from backend.devices.jog_limits import room_mm
+from backend.core.turning import LEVEL_RAD, turned_rad
+from backend.devices.jog import STEPS_DEG, STEPS_MM, JogOrder
+from backend.devices.jog_axes import FRAMES, Axis, Frame, Room, turns
 from backend.devices.protocols import Arm, Device, Gripper, GripStatus
 from backend.runs.hand import Hand
 from backend.runs.requests import SceneChoice, SetRequest
 from widgets.fault_cards import FaultCards, Question
+from widgets.jog_pace import Pace
 from widgets.jog_pad import PoseLook
 
 PERIOD_S = 0.1
-NO_JOINTS = "The arm of this bench keeps its orientation: no JOINT frame and no rotations."
+LEVEL_RAD_S = math.radians(10.0)
+"""The hand is levelled so fast."""
+NO_JOINTS = "The arm of this bench keeps its orientation: no JOINT frame and no turning."
+PACES = (
+    Pace("mm", "mm", STEPS_MM, (1.0, 50.0, 20.0)),
+    Pace("\N{DEGREE SIGN}", "degrees", STEPS_DEG, (1.0, 15.0, 5.0)),
+)
+SHORT = {
+    "DRAGGING": "lift first", "TURN-PRESSING": "lift first", "TURN-LOW": "go up first",
+    "JOG-FORCE": "too much force", "RECOVERY": "only away", "FT-UNKNOWN": "no force",
+    "NO-POSE": "no pose",
+}  # fmt: skip
+"""What a pad says instead of its range while its way is refused."""
 
 
 class HandPresenter:
@@ -39,6 +54,7 @@ class HandPresenter:
         self._link, self._page, self._cards, self._now_s = link, page, cards, now_s
         self._hold = self._sequence = 0
         self._drawn_s = float("-inf")
+        self._drawn_pads: tuple[str, ...] = ()
         hand, shown = link.hand, link.catalogue
         page.scene.setVisible(link.simulated)
         page.scene.show_catalogue(
@@ -46,7 +62,7 @@ class HandPresenter:
             [(name, shown.piece(name).title) for name in shown.bottoms],
             (SceneChoice().piece, SceneChoice().bottoms[0]),
         )
-        page.jog.show_joint_reason("" if hand is not None and hand.rotates else NO_JOINTS)
+        page.jog.show_turning("" if hand is not None and hand.rotates else NO_JOINTS)
 
     # -- orders -----------------------------------------------------------------------------------
 
@@ -56,7 +72,7 @@ class HandPresenter:
             self._hold += 1
         self._sequence += 1
         order = JogOrder(self._hold, self._sequence, self._link.clock_s(), _axis(what),
-                         self._frame(), _sign(what) * self._page.jog.speed.value())  # fmt: skip
+                         self._frame(), _sign(what) * self._speed())  # fmt: skip
         return self._ordered(lambda hand: hand.jog.renew(order))
 
     def ended(self, cause: str) -> None:
@@ -68,12 +84,16 @@ class HandPresenter:
 
     def step(self, what: str) -> None:
         """Move by one step."""
-        step_mm, jog = self._page.jog.step_mm, self._page.jog
-        if step_mm is None:
+        step = self._page.jog.step
+        if step is None:
             return
-        distance = _sign(what) * step_mm
-        frame, speed = self._frame(), jog.speed.value()
+        distance = _sign(what) * (math.radians(step) if self._page.jog.turning else step)
+        frame, speed = self._frame(), self._speed()
         self._ordered(lambda hand: hand.jog.step(_axis(what), frame, distance, speed))
+
+    def level(self) -> None:
+        """Turn the hand back to straight down."""
+        self._ordered(lambda hand: hand.jog.level(LEVEL_RAD_S))
 
     def grip(self) -> None:
         """Close on the piece."""
@@ -135,9 +155,9 @@ class HandPresenter:
         if why:
             self._page.jog.hold.end(why)
             self._page.jog.show_armed(False)
-        now_s = self._now_s()
-        if now_s - self._drawn_s >= PERIOD_S:
-            self._drawn_s = now_s
+        now_s, pads = self._now_s(), self._page.jog.shown
+        if now_s - self._drawn_s >= PERIOD_S or pads != self._drawn_pads:
+            self._drawn_s, self._drawn_pads = now_s, pads
             self._page.jog.show_look(self._look())
             self._draw_gripper()
 
@@ -154,24 +174,46 @@ class HandPresenter:
         if arm is None or hand is None:
             return PoseLook()
         try:
-            t_s, values = _arm(arm).poses.latest(self._link.clock_s(), float("inf"))
-        except StaleSampleError:
+            t_s, _ = _arm(arm).poses.latest(self._link.clock_s(), float("inf"))
+            pose = _arm(arm).pose(float("inf"))
+            text = self._pose_text(_arm(arm), pose)
+            rooms = hand.jog.rooms(self._frame())
+        except (StaleSampleError, RefusedError):
             return PoseLook()
-        x, y, z = values.tolist()
-        pose, limits, frame = Pose(x, y, z), self._link.interlock.limits, self._frame()
-        room = tuple(
-            (f"{sign}{axis}", room_mm(pose, way_of(axis, frame, int(f"{sign}1")), limits))
-            for axis in AXES
-            for sign in "+-"
-        )
         slow = hand.jog.state.slow
-        recovering = self._link.interlock.recovering
-        contact = self._contact(hand)
-        note = "Recovery: jog away from contact" if recovering else contact
+        recovering, turned = self._link.interlock.recovering, turned_rad(pose) > 0.0
+        note = "Recovery: jog away from contact" if recovering else self._contact(hand)
+        warn = bool(note)
+        if not note and turned_rad(pose) > LEVEL_RAD:
+            note = (
+                f"Turned by {math.degrees(turned_rad(pose)):.1f}\N{DEGREE SIGN}: level it to probe"
+            )
+        if not note and any(room.why == "TURN-LOW" for room in rooms.values()):
+            clear_mm = self._link.interlock.limits.turn_clear_mm
+            note = f"The hand turns from {clear_mm:.0f} mm above the surface on: jog +Z first"
         if slow and hand.jog.state.order is not None:
-            note = f"{hand.jog.state.speed:.1f} mm/s: {slow}"
+            note = f"{self._jog_speed(hand)}: {slow}"
         age_s = max(self._link.clock_s() - t_s, 0.0)
-        return PoseLook((x, y, z), age_s, room, note, warn=recovering or bool(contact))
+        said = tuple((what, _room_words(what, room)) for what, room in rooms.items())
+        return PoseLook(text, age_s, said, note, warn=warn, turned=turned)
+
+    def _pose_text(self, arm: Arm, pose: Pose) -> str:
+        """Return where the hand is, in the terms of the pads that are shown."""
+        jog = self._page.jog
+        if self._frame() == "JOINT":
+            angles = (f"{math.degrees(angle) + 0.0:.0f}" for angle in arm.joints_rad(float("inf")))
+            return _true_minus("  ".join(angles) + "\N{DEGREE SIGN}")
+        if jog.turning:
+            turned = (math.degrees(v) for v in (pose.rx_rad, pose.ry_rad, pose.rz_rad))
+            x, y, z = (f"{v + 0.0:.1f}" for v in turned)
+            return _true_minus(f"RX {x}   RY {y}   RZ {z}\N{DEGREE SIGN}")
+        return _true_minus(f"X {pose.x_mm:.1f}   Y {pose.y_mm:.1f}   Z {pose.z_mm:.1f} mm")
+
+    def _jog_speed(self, hand: Hand) -> str:
+        state = hand.jog.state
+        if state.order is not None and turns(state.order.axis):
+            return f"{math.degrees(state.speed):.1f}\N{DEGREE SIGN}/s"
+        return f"{state.speed:.1f} mm/s"
 
     def _contact(self, hand: Hand) -> str:
         if busy(self._link) or not hand.pressing_n:
@@ -191,11 +233,29 @@ class HandPresenter:
         return None if device is None else _gripper(device).status()
 
     def _frame(self) -> Frame:
-        return "TOOL" if self._page.jog.frame.currentText() == "TOOL" else "XYZ"
+        return FRAMES[self._page.jog.frame.currentIndex()]
+
+    def _speed(self) -> float:
+        """Return the chosen speed: mm/s, or rad/s while the pads turn."""
+        jog = self._page.jog
+        return math.radians(jog.speed.value()) if jog.turning else jog.speed.value()
+
+
+def _room_words(what: str, room: Room) -> str:
+    """Return what a pad says below its name."""
+    if room.why:
+        return SHORT.get(room.why, "refused")
+    if turns(_axis(what)):
+        return f"{math.degrees(room.left):.0f}\N{DEGREE SIGN}"
+    return f"{room.left:.0f} mm"
+
+
+def _true_minus(text: str) -> str:
+    return text.replace("-", "\N{MINUS SIGN}")
 
 
 def _axis(what: str) -> Axis:
-    return AXES["xyz".index(what[1])]
+    return cast("Axis", what[1:])
 
 
 def _sign(what: str) -> float:

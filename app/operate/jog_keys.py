@@ -1,4 +1,6 @@
-"""Arrows and Page keys move the arm while they are armed, whatever has the focus but a text field.
+"""Arrows and Page keys drive the arm while they are armed, whatever has the focus but a text field.
+
+They go where the pads of the chosen frame go: along the axes, about them, or one joint.
 
 Arming ends when the window or the focus is lost, when another page comes to the front, and after
 30 s without use.
@@ -11,7 +13,7 @@ from PySide6.QtGui import QKeyEvent, QWindow
 from PySide6.QtWidgets import QApplication, QWidget
 
 from app.stop_key import typing
-from widgets.jog_pad import JogPad
+from widgets.jog_pad import JOINTS, JogPad
 
 IDLE_MS = 30_000
 KEYS: dict[int, str] = {
@@ -22,6 +24,8 @@ KEYS: dict[int, str] = {
     Qt.Key.Key_PageUp: "+z",
     Qt.Key.Key_PageDown: "-z",
 }
+JOINT_KEYS: dict[int, int] = {int(Qt.Key.Key_1) + joint: joint + 1 for joint in range(JOINTS)}
+"""Digits choose the joint that the arrows drive; they move nothing."""
 ROWS = (
     ("Left", "Jog \N{MINUS SIGN}X while held (keys armed)"),
     ("Right", "Jog +X while held (keys armed)"),
@@ -29,6 +33,7 @@ ROWS = (
     ("Down", "Jog \N{MINUS SIGN}Y while held (keys armed)"),
     ("PgUp", "Jog +Z while held (keys armed)"),
     ("PgDown", "Jog \N{MINUS SIGN}Z while held (keys armed)"),
+    ("1", "Choose J1 for the arrows, 2 to 6 the others (keys armed, JOINT)"),
 )
 
 
@@ -73,7 +78,8 @@ class JogKeys(QObject):
         """Take the jog keys as the window system delivers them."""
         if not isinstance(event, QKeyEvent) or not isinstance(watched, QWindow):
             return False
-        if event.key() not in KEYS or typing():
+        joint = self._pad.frame.currentText() == "JOINT" and event.key() in JOINT_KEYS
+        if not (joint or event.key() in KEYS) or typing():
             return False
         # Before a press the same key comes as ShortcutOverride: claimed, so that no shortcut takes
         # it, and no press of its own.
@@ -85,6 +91,10 @@ class JogKeys(QObject):
     def _take(self, event: QKeyEvent) -> None:
         self._idle.start()
         key = event.key()
+        if key in JOINT_KEYS:
+            if event.type() is QEvent.Type.KeyPress:
+                self._pad.choose_joint(JOINT_KEYS[key])
+            return
         if event.type() is QEvent.Type.KeyRelease:
             self._down.discard(key)
             self._pad.hold.release(key)

@@ -15,7 +15,8 @@ from widgets.columns import Columns
 from widgets.force_traces import SPANS_S
 from widgets.gripper_panel import GripperPanel
 from widgets.header_tools import chooser, tool
-from widgets.jog_pad import JogPad
+from widgets.jog_pace import Pace
+from widgets.jog_pad import JogIntents, JogPad
 from widgets.panel import Captioned, Panel
 from widgets.probe_panel import ProbePanel
 from widgets.scene_panel import ScenePanel
@@ -30,10 +31,7 @@ TRACES = "Force and moment"
 class OperateIntents:
     """What the operator can ask for on this page."""
 
-    renew: Callable[[str], bool]
-    ended: Callable[[str], None]
-    step: Callable[[str], None]
-    arm_keys: Callable[[bool], None]
+    jog: JogIntents
     grip: Callable[[], None]
     open: Callable[[], None]
     probe: Callable[[], None]
@@ -52,7 +50,7 @@ class OperatePage(LivePage):
         self,
         theme: Theme,
         intents: OperateIntents,
-        steps_mm: Sequence[float],
+        paces: Sequence[Pace],
         phases: Sequence[str],
     ) -> None:
         super().__init__(theme)
@@ -62,7 +60,7 @@ class OperatePage(LivePage):
         self.belief_panel = BeliefPanel(theme, "Belief of the last run")
         self.belief, self.legend = self.belief_panel.view, self.belief_panel.legend
         self.maps = self.belief_panel.maps
-        self.jog = JogPad(steps_mm, intents.renew, intents.ended, intents.step, intents.arm_keys)
+        self.jog = JogPad(paces, intents.jog)
         self.gripper = GripperPanel(intents.grip, intents.open)
         self.probe = ProbePanel(theme, phases, intents.probe, intents.cancel)
         self.scene = ScenePanel(intents.set_scene)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from app.link import Link
 from app.live import LivePresenter, LiveViews
-from app.operate.hand import HandPresenter
+from app.operate.hand import PACES, HandPresenter
 from app.operate.jog_keys import ROWS, JogKeys
 from app.operate.page import OperateIntents, OperatePage
 from app.operate.probe import PHASES, ProbePresenter
@@ -14,8 +14,8 @@ from app.outlines import outlines
 from app.run_story import RunStory, no_probe, scene_of
 from app.workspace import Command, Desk, Memory, Workspace
 from backend.core.facts import Fact
-from backend.devices.jog import STEPS_MM
 from widgets.belief_scene import BeliefScene
+from widgets.jog_pad import JogIntents
 
 NO_RUN = BeliefScene(
     empty=("No stacking run yet", "The map is fused over a run; one probe alone makes none.")
@@ -37,12 +37,12 @@ class OperateWorkspace(Workspace):
         self._link: Link | None = None
         self._story, self._shown = RunStory(), -1
         intents = OperateIntents(
-            renew=self._renew, ended=self._ended, step=self._step, arm_keys=self._arm_keys,
+            jog=JogIntents(self._renew, self._ended, self._step, self._arm_keys, self._level),
             grip=self._grip, open=self._open, probe=self._probe, cancel=self._cancel,
             zero=self._zero, baseline=self._baseline, span=self._span, pause=self._pause,
             set_scene=self._set_scene,
         )  # fmt: skip
-        self.page = OperatePage(desk.theme, intents, STEPS_MM, PHASES)
+        self.page = OperatePage(desk.theme, intents, PACES, PHASES)
         self.columns = self.page.columns
         self.keys = JogKeys(self.page, self.page.jog)
         self.commands = self._commands()
@@ -127,7 +127,9 @@ class OperateWorkspace(Workspace):
             Command("arm", "Arm or disarm the jog keys", "J", jog.keys.toggle),
             Command("shorter", "Shorter step, down to hold-to-run", "[", lambda: jog.next_step(-1)),
             Command("longer", "Longer step", "]", lambda: jog.next_step(1)),
-            Command("frame", "Jog in the other frame", "F", jog.next_frame),
+            Command("frame", "Jog in the next frame: XYZ, TOOL, JOINT", "F", jog.next_frame),
+            Command("turn", "Jog: turn the hand, or move it", "T", jog.turn.click),
+            Command("level", "Level the hand", "Shift+T", self._level),
             Command("scene", "Set the simulated bench anew", "Ctrl+N", self.page.scene.ask),
             Command("freeze", "Hold the traces still", "Ctrl+P", self.page.pause.toggle),
             Command("fit", "Fit the force and moment ranges", "Ctrl+F", self.page.fit),
@@ -143,6 +145,10 @@ class OperateWorkspace(Workspace):
     def _step(self, what: str) -> None:
         if self.hand is not None:
             self.hand.step(what)
+
+    def _level(self) -> None:
+        if self.hand is not None:
+            self.hand.level()
 
     def _arm_keys(self, on: bool) -> None:
         self.keys.arm(on and self.hand is not None and not self.hand.why_not())

@@ -11,16 +11,21 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import gc
 import itertools
 import socket
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+import backend.learning.child
 from tests.leaks import leaks_since, snapshot
+from tests.warm import WarmStart
 
 LOOPBACK = ("127.", "::1", "localhost")
 _numbers = itertools.count()
+_warm = WarmStart()
 
 
 class NetworkForbiddenError(RuntimeError):
@@ -65,6 +70,23 @@ def no_network() -> Iterator[None]:
     patch.undo()
 
 
+@pytest.fixture(autouse=True, scope="session")
+def warm_trainings() -> Iterator[None]:
+    """Start trainings without importing torch anew for each, where a process can be forked."""
+    yield
+    _warm.close()
+
+
+@pytest.fixture(autouse=True)
+def warm_start(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let trainings start warm, but in tests that are marked ``cold_start``."""
+    if hasattr(os, "fork") and request.node.get_closest_marker("cold_start") is None:
+        like = SimpleNamespace(
+            Popen=_warm.popen, PIPE=subprocess.PIPE, TimeoutExpired=subprocess.TimeoutExpired
+        )
+        monkeypatch.setattr(backend.learning.child, "subprocess", like)
+
+
 @pytest.fixture(autouse=True)
 def isolated_settings(
     tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
@@ -80,9 +102,9 @@ def isolated_settings(
 @pytest.fixture(autouse=True)
 def no_leaks(request: pytest.FixtureRequest) -> Iterator[None]:
     """Fail a test that leaves a top-level widget, a thread, a child process or a socket."""
-    before = snapshot()
+    before = snapshot(_warm.pid)
     yield
     if request.node.get_closest_marker("allow_leaks") is None:
-        found = leaks_since(before)
+        found = leaks_since(before, _warm.pid)
         if found:
             pytest.fail(f"left behind: {'; '.join(found)}", pytrace=False)

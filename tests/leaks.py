@@ -7,6 +7,7 @@ import os
 import sys
 import threading
 from dataclasses import dataclass
+from pathlib import Path
 
 import psutil
 
@@ -27,24 +28,26 @@ class Snapshot:
     widgets: frozenset[int]
 
 
-def snapshot() -> Snapshot:
+def snapshot(keeper: int | None = None) -> Snapshot:
+    """Look at this process; ``keeper`` is a child that stays and whose children count as ours."""
     return Snapshot(
         frozenset(_threads()),
-        frozenset(child.pid for child in _children()),
+        frozenset(child.pid for child in _children(keeper)),
         frozenset(_sockets()),
         frozenset(id(widget) for widget in _widgets()),
     )
 
 
-def leaks_since(before: Snapshot) -> list[str]:
+def leaks_since(before: Snapshot, keeper: int | None = None) -> list[str]:
     """Return a sentence for each thing that lives now and did not at ``before``."""
-    if snapshot_is_within(before):
+    if snapshot_is_within(before, keeper):
         return []
     for thread in _threads():
         if thread not in before.threads:
             thread.join(GRACE_S)
     psutil.wait_procs(
-        [child for child in _children() if child.pid not in before.children], timeout=GRACE_S
+        [child for child in _children(keeper) if child.pid not in before.children],
+        timeout=GRACE_S,
     )
     _delete_deferred()
     gc.collect()
@@ -52,7 +55,7 @@ def leaks_since(before: Snapshot) -> list[str]:
     found = [f"thread {t.name!r}" for t in _threads() if t not in before.threads]
     found += [
         f"child process {child.pid} ({' '.join(child.cmdline())[:80]})"
-        for child in _children()
+        for child in _children(keeper)
         if child.pid not in before.children
     ]
     found += [f"socket {key}" for key in _sockets() if key not in before.sockets]
@@ -62,8 +65,8 @@ def leaks_since(before: Snapshot) -> list[str]:
     return found
 
 
-def snapshot_is_within(before: Snapshot) -> bool:
-    now = snapshot()
+def snapshot_is_within(before: Snapshot, keeper: int | None = None) -> bool:
+    now = snapshot(keeper)
     return (
         now.threads <= before.threads
         and now.children <= before.children
@@ -77,12 +80,16 @@ def _threads() -> list[threading.Thread]:
     return [t for t in threading.enumerate() if not isinstance(t, threading._DummyThread)]
 
 
-def _children() -> list[psutil.Process]:
+def _children(keeper: int | None) -> list[psutil.Process]:
     if _childless():
         return []
+    numbers = _child_numbers(os.getpid())
+    if keeper in numbers:
+        numbers = (numbers - {keeper}) | _child_numbers(keeper)
     found = []
-    for child in psutil.Process().children():
+    for number in sorted(numbers):
         try:
+            child = psutil.Process(number)
             # Everything still running counts, and so does what nobody waited for.
             if not any(word in " ".join(child.cmdline()) for word in HELPERS):
                 found.append(child)
@@ -91,6 +98,14 @@ def _children() -> list[psutil.Process]:
         except psutil.NoSuchProcess:
             continue
     return found
+
+
+def _child_numbers(parent: int) -> set[int]:
+    """Return the ids of the children; Linux keeps a list, elsewhere every process is looked at."""
+    lists = [path / "children" for path in Path(f"/proc/{parent}/task").glob("*")]
+    if lists and lists[0].exists():
+        return {int(word) for path in lists if path.exists() for word in path.read_text().split()}
+    return {child.pid for child in psutil.Process(parent).children()}
 
 
 def _childless() -> bool:

@@ -36,6 +36,22 @@ def test_a_running_child_is_named(monkeypatch):
     assert leaks_since(before) == []
 
 
+def test_a_child_of_the_keeper_is_named(monkeypatch):
+    monkeypatch.setattr("tests.leaks.GRACE_S", 0.01)
+    code = "import subprocess, sys; input(); subprocess.run([sys.executable, '-c', 'input()'])"
+    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE) as keeper:
+        before = snapshot(keeper.pid)
+        assert leaks_since(before, keeper.pid) == []
+        assert keeper.pid not in before.children
+        assert keeper.stdin is not None
+        keeper.stdin.write(b"\n")
+        keeper.stdin.flush()
+        while not (found := leaks_since(before, keeper.pid)):
+            pass
+        assert "input()" in found[0]
+        keeper.communicate(b"\n")
+
+
 def test_an_open_socket_is_named():
     before = snapshot()
     with socket.create_server(("127.0.0.1", 0)):

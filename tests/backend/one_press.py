@@ -58,7 +58,7 @@ def press_both_ways(piece: str, bottom: str, seed: int, patch: pytest.MonkeyPatc
         patch.setattr(module, "draw_mounting", lambda *_: MOUNTING)
         patch.setattr(module, "draw_gripping", lambda *_: GRIPPING)
         patch.setattr(module, "draw_probe", lambda *_: PROBE)
-    devices = OracleSession(preset="off", method=ONE_PROBE)
+    devices = OracleSession(preset="off", method=ONE_PROBE, rate_hz=25.0)
     devices.session.run(request(piece=piece, bottoms=(bottom,), seed=seed))
     recorded = devices.of(EpisodeRecorded)[0]
     started = devices.of(TrialStarted)[0]

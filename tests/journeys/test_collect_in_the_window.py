@@ -12,6 +12,7 @@ from backend.catalogue.dataset import Dataset
 from backend.catalogue.values import EpisodeFilter
 from backend.runs.requests import RunState, SceneChoice
 from backend.session import Keep
+from tests.backend.brisk import brisk_bench, brisk_method
 
 KEY = Qt.Key
 pytestmark = pytest.mark.slow
@@ -35,7 +36,9 @@ class Stepped:
 
 @pytest.fixture
 def desk(qapp, qtbot, tmp_path, isolated_settings):
-    session = simulated_session(keep=Keep(tmp_path / "runs", episodes=False))
+    session = simulated_session(
+        brisk_bench(), keep=Keep(tmp_path / "runs", episodes=False), method=brisk_method()
+    )
     session.prepare(SceneChoice())
     main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
     main.attach(Stepped(session))

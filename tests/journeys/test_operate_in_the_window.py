@@ -14,6 +14,7 @@ from backend.core.flow import Pose
 from backend.core.turning import vector_of
 from backend.runs.requests import RunState, SceneChoice
 from backend.session import Keep
+from tests.backend.brisk import brisk_bench
 
 STEP_S = 0.02
 
@@ -33,7 +34,7 @@ class SteppedSession:
 
 @pytest.fixture
 def desk(qapp, qtbot, tmp_path):
-    session = simulated_session(keep=Keep(tmp_path / "runs", episodes=False))
+    session = simulated_session(brisk_bench(), keep=Keep(tmp_path / "runs", episodes=False))
     session.prepare(SceneChoice())
     motion = session._scene.stage.arm.move_to(Pose(0.0, 0.0, 80.0), 50.0)
     while not motion.done:

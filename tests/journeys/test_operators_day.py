@@ -10,6 +10,7 @@ from app.error_hooks import ErrorBox
 from backend.assembly import simulated_session
 from backend.runs.requests import RunState, SceneChoice
 from backend.session import Keep
+from tests.backend.brisk import brisk_bench, brisk_method
 
 KEY, CTRL, SHIFT = Qt.Key, Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 PROBES = 2
@@ -99,7 +100,9 @@ def test_an_operators_day(day, tmp_path):
 
 def connect(day, tmp_path):
     def make():
-        session = simulated_session(keep=Keep(tmp_path / "runs", episodes=False))
+        session = simulated_session(
+            brisk_bench(), keep=Keep(tmp_path / "runs", episodes=False), method=brisk_method()
+        )
         session.prepare(SceneChoice())
         return SteppedSession(session)
 

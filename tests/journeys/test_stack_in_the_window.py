@@ -15,6 +15,7 @@ from backend.learning.checkpoint import load_card
 from backend.objects.surface import face_points
 from backend.runs.requests import ProbeRequest, RunState, SceneChoice
 from backend.session import Keep
+from tests.backend.brisk import brisk_bench, brisk_method
 from widgets.run_panel import RunForm
 
 BOTTOM_RADIUS_MM = 10.0
@@ -60,7 +61,9 @@ def desk(qapp, qtbot, tmp_path, monkeypatch):
         assembly.Estimator, "load", staticmethod(lambda path, piece: KnowsTheBottom(piece))
     )
     runs = tmp_path / "runs"
-    session = assembly.simulated_session(keep=Keep(runs, episodes=False))
+    session = assembly.simulated_session(
+        brisk_bench(), keep=Keep(runs, episodes=False), method=brisk_method()
+    )
     session.prepare(SceneChoice())
     link = SteppedSession(session)
     main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", runs)

@@ -22,6 +22,7 @@ def job(data: Path, out: Path, **changes: object) -> TrainingJob:
     return TrainingJob.model_validate(fields | changes)
 
 
+@pytest.mark.cold_start
 def test_the_child_trains_and_equals_training_here(tmp_path: Path, write_data: Data) -> None:
     data = write_data(tmp_path / "data")
     out = tmp_path / "pot.safetensors"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from backend.assembly import SimulatedBenchChoice, simulated_session
+from backend.assembly import simulated_session
 from backend.config.method import StackSettings
 from backend.core.facts import Fact
 from backend.core.flow import ContactPatch, Episode
@@ -16,6 +16,7 @@ from backend.objects.surface import face_points, true_patch
 from backend.runs.fact_codec import encode
 from backend.runs.requests import StackRequest
 from backend.session import Keep
+from tests.backend.brisk import RATE_HZ, brisk_bench, brisk_method
 
 
 class Oracle:
@@ -48,14 +49,15 @@ class OracleSession:
         preset: str = "mixed",
         runs: Path | None = None,
         method: StackSettings | None = None,
+        rate_hz: float = RATE_HZ,
     ) -> None:
         self.benches: list[SimulatedBench] = []
         self.oracles: list[Oracle] = []
         self.facts: list[Fact] = []
         self.session = simulated_session(
-            SimulatedBenchChoice(preset=preset, disturbances=faults),
+            brisk_bench(preset, rate_hz, faults),
             keep=Keep(runs),
-            method=method,
+            method=method or brisk_method(),
             estimate=self._oracle,
         )
         self.session.hub.subscribe(self.facts.append)

@@ -8,17 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from backend.assembly import SimulatedBenchChoice, simulated_session
+from backend.assembly import simulated_session
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.values import EpisodeFilter
-from backend.config.method import ProbeSettings, StackSettings
 from backend.core.facts import Fact, FaultRaised, PhaseEntered, ProbeCollected, RunFinished
 from backend.runs.campaign import newest_campaign
 from backend.runs.requests import CollectRequest
 from backend.session import Keep
 from backend.simulation.disturbances import Disturbance, Script
-
-FASTEST = StackSettings(probe=ProbeSettings(travel_mm_s=50.0))
+from tests.backend.brisk import brisk_bench, brisk_method
 
 
 class Failing:
@@ -28,7 +26,7 @@ class Failing:
         self.facts: list[Fact] = []
         self.dataset = dataset
         self.session = simulated_session(
-            SimulatedBenchChoice(preset="quiet"), keep=Keep(None), method=FASTEST
+            brisk_bench("quiet"), keep=Keep(None), method=brisk_method()
         )
         self.session.dataset = dataset
         self.session.hub.subscribe(self._take)

@@ -2,10 +2,11 @@
 
 import pytest
 
-from backend.config.method import EARLY_TICKS
+from backend.config.method import EARLY_TICKS, PolicySettings
 from backend.core.facts import ActionChosen, Fact
 from backend.core.flow import ContactPatch, Episode
 from backend.core.hush import Hush
+from tests.backend.brisk import brisk_method
 from tests.backend.runs.oracle_bench import Oracle, OracleSession, request
 
 
@@ -25,7 +26,8 @@ def test_the_early_ticks_are_those_of_the_episode_bit_for_bit(preset: str) -> No
 
 
 def test_nobody_draws_beside_a_decision(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = OracleSession(preset="quiet")
+    method = brisk_method().model_copy(update={"policy": PolicySettings(max_probes=1)})
+    bench = OracleSession(preset="quiet", method=method)
     session, after = bench.session, []
     session.hush = Hush(lambda: 0.0)
 

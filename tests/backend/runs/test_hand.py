@@ -15,6 +15,7 @@ from backend.devices.jog_axes import TOOL_SIGNS, way_of
 from backend.devices.jog_limits import fastest_mm_s, refuse_forced, room_mm
 from backend.runs.requests import ProbeRequest, SceneChoice, StackRequest
 from backend.session import Keep
+from tests.backend.brisk import brisk_bench
 
 STEP_S = 0.02
 MOST_S = 0.3
@@ -22,7 +23,7 @@ MOST_S = 0.3
 
 @pytest.fixture
 def session():
-    made = simulated_session(keep=Keep(None))
+    made = simulated_session(brisk_bench(), keep=Keep(None))
     made.prepare(SceneChoice(estimates=False))
     for _ in range(30):
         made.advance()

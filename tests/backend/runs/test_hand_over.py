@@ -6,19 +6,19 @@ from collections.abc import Callable
 
 import pytest
 
-from backend.assembly import SimulatedBenchChoice, simulated_session
+from backend.assembly import simulated_session
 from backend.catalogue.dataset import Dataset
-from backend.config.method import ProbeSettings, StackSettings
 from backend.core.facts import Fact, HandOverAwaited, PhaseEntered, RunFinished
 from backend.runs.requests import CollectRequest
 from backend.session import Keep, Session
+from tests.backend.brisk import brisk_bench, brisk_method
 
 
 def collected(dataset: Dataset, answer: Callable[[HandOverAwaited], bool], **asked):
     """Collect by hand-over; returns the session, the facts, and how wide the jaws were asked."""
-    settings = StackSettings(probe=ProbeSettings(travel_mm_s=50.0))
-    choice = SimulatedBenchChoice(preset="quiet")
-    session: Session = simulated_session(choice, keep=Keep(None), method=settings)
+    session: Session = simulated_session(
+        brisk_bench("quiet"), keep=Keep(None), method=brisk_method()
+    )
     session.dataset = dataset
     facts: list[Fact] = []
     session.hub.subscribe(facts.append)

@@ -1,0 +1,36 @@
+"""A simulated bench that takes the same course at a third of the cost, where a claim allows it.
+
+The courses of runs do not depend on how often the gels are looked at, nor on how fast free moves
+are: half the pictures and moves at the highest speed that the interlock allows. What is said of
+the recordings themselves is tested on the bench as it ships.
+"""
+
+from __future__ import annotations
+
+from backend.assembly import SimulatedBenchChoice
+from backend.config.method import CollectSettings, ProbeSettings, ReleaseSettings, StackSettings
+from backend.config.simulation import SimulationSettings
+
+RATE_HZ = 12.5
+"""Pictures a second and finger: still one in every 0.1 s between two ticks of a probe."""
+PROBE = ProbeSettings(travel_mm_s=50.0)
+RELEASE = ReleaseSettings(open_mm_s=20.0)
+
+
+def brisk_method(**limits: object) -> StackSettings:
+    """Return the method with fast free moves; ``limits`` are those of collecting."""
+    collect = CollectSettings.model_validate({"open_mm": 4.0, **limits})
+    return StackSettings(probe=PROBE, release=RELEASE, collect=collect)
+
+
+def brisk_settings(preset: str = "mixed", rate_hz: float = RATE_HZ) -> SimulationSettings:
+    """Return the settings of ``preset`` with fewer pictures."""
+    given = {"preset": preset, "tactile": {"rate_hz": rate_hz}}
+    return SimulationSettings.model_validate(given)
+
+
+def brisk_bench(
+    preset: str = "mixed", rate_hz: float = RATE_HZ, faults: tuple[str, ...] = ()
+) -> SimulatedBenchChoice:
+    """Return the choice of a bench with ``brisk_settings`` and faults."""
+    return SimulatedBenchChoice(given=brisk_settings(preset, rate_hz), disturbances=faults)

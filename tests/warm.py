@@ -1,0 +1,159 @@
+"""Training processes that start in milliseconds: forked from one that has torch loaded already.
+
+What runs in them is ``backend.learning.process`` as ever, in a process of its own, with its own
+pipes and exit status; only the 3 s of importing torch for each of some forty children are spared.
+``cold_start`` in ``tests/conftest.py`` gives a test the ordinary start.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from typing import IO, Any
+
+MODULE = "backend.learning.process"
+LONGEST_BYTES = 1 << 16
+
+
+class WarmStart:
+    """Stands in for ``subprocess.Popen``; the server is started when it is first needed."""
+
+    def __init__(self) -> None:
+        self._server: subprocess.Popen[bytes] | None = None
+        self._control: socket.socket | None = None
+
+    @property
+    def pid(self) -> int | None:
+        """Of the server, None before it is needed."""
+        return None if self._server is None else self._server.pid
+
+    def popen(self, command: Sequence[str], **options: Any) -> Any:
+        """Start ``command``: warm if it is a training."""
+        if list(command[1:]) != ["-m", MODULE]:
+            return subprocess.Popen(command, **options)
+        return WarmChild(self._connected(), options["env"], options["stderr"])
+
+    def close(self) -> None:
+        """End the server."""
+        if self._server is not None and self._control is not None:
+            self._control.close()
+            self._server.wait(60)
+
+    def _connected(self) -> socket.socket:
+        if self._control is None:
+            self._control, far = socket.socketpair()
+            with far:
+                self._server = subprocess.Popen(
+                    [sys.executable, "-m", "tests.warm"], stdin=far, stdout=subprocess.DEVNULL
+                )
+        return self._control
+
+
+class WarmChild:
+    """What of ``subprocess.Popen`` a training uses."""
+
+    def __init__(self, control: socket.socket, env: Mapping[str, str], stderr: IO[bytes]) -> None:
+        their_in, our_in = os.pipe()
+        our_out, their_out = os.pipe()
+        self._status, told = os.pipe()
+        theirs = [their_in, their_out, stderr.fileno(), told]
+        socket.send_fds(control, [json.dumps(dict(env)).encode()], theirs)
+        for descriptor in (their_in, their_out, told):
+            os.close(descriptor)
+        self.pid = int(control.recv(LONGEST_BYTES))
+        self.stdin = os.fdopen(our_in, "w", encoding="utf-8")
+        self.stdout = os.fdopen(our_out, encoding="utf-8")
+        self.returncode: int | None = None
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Return the exit status as ``Popen`` does, minus the number of the signal if killed."""
+        if self.returncode is None:
+            if not select.select([self._status], [], [], timeout)[0]:
+                raise subprocess.TimeoutExpired(MODULE, timeout or 0.0)
+            self.returncode = int(os.read(self._status, 64) or b"-9")
+            os.close(self._status)
+        return self.returncode
+
+    def kill(self) -> None:
+        """End it at once."""
+        if self.returncode is None:
+            os.kill(self.pid, signal.SIGKILL)
+
+
+def serve(control: socket.socket) -> None:
+    """Fork a training for each message; tell its pid, and its status when it has ended."""
+    import backend.learning.process  # noqa: F401 - loaded before there is anything to fork
+
+    gc.collect()
+    gc.freeze()
+    ended, wake = os.pipe()
+    os.set_blocking(wake, False)
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
+    waiting: dict[int, int] = {}
+    while True:
+        ready = select.select([control, ended], [], [])[0]
+        if ended in ready:
+            os.read(ended, LONGEST_BYTES)
+            _reap(waiting)
+        if control in ready:
+            message, received, _, _ = socket.recv_fds(control, LONGEST_BYTES, 4)
+            if not message:
+                return
+            pid = os.fork()
+            if not pid:
+                for descriptor in (control.fileno(), ended, wake, *waiting.values()):
+                    os.close(descriptor)
+                _train(json.loads(message), received)
+            waiting[pid] = received.pop()
+            for descriptor in received:
+                os.close(descriptor)
+            control.send(str(pid).encode())
+
+
+def _reap(waiting: dict[int, int]) -> None:
+    for pid in list(waiting):
+        gone, status = os.waitpid(pid, os.WNOHANG)
+        if gone:
+            told = waiting.pop(pid)
+            os.write(told, str(os.waitstatus_to_exitcode(status)).encode())
+            os.close(told)
+
+
+def _train(environment: dict[str, str], received: list[int]) -> None:
+    """Be the training; never returns."""
+    from backend.learning.process import main
+
+    code = 1
+    try:
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        os.environ.clear()
+        os.environ.update(environment)
+        for number, descriptor in enumerate(received[:3]):
+            os.dup2(descriptor, number)
+        for descriptor in received:
+            os.close(descriptor)
+        sys.stdin = os.fdopen(0, encoding="utf-8", closefd=False)
+        sys.stdout = os.fdopen(1, "w", encoding="utf-8", closefd=False)
+        sys.stderr = os.fdopen(2, "w", encoding="utf-8", closefd=False)
+        code = main()
+        sys.stdout.flush()
+    except BaseException:  # noqa: BLE001 - said as an interpreter says it
+        import traceback
+
+        traceback.print_exc()
+        sys.stderr.flush()
+    finally:
+        os._exit(code)
+
+
+if __name__ == "__main__":
+    serve(socket.socket(fileno=0))

@@ -25,10 +25,12 @@ from backend.runs.requests import SceneChoice, StackRequest
 from backend.sensing.episode import EpisodeLimits
 from backend.simulation.lockstep import Lockstep
 from backend.simulation.scene import Scene
+from tests.backend.brisk import RATE_HZ
 from tests.backend.experiments.device_loop import run_on_devices
 
 MECHANICAL = {
     **PRESETS["off"],
+    "tactile": {**PRESETS["off"]["tactile"], "rate_hz": RATE_HZ},
     "mu_grip": 0.6,
     "grasp": {"hysteresis": True},
     "spread": {"grasp_offset_mm": 0.5, "tilt_rad": 0.004, "mu": 0.15, "gel": 0.1, "gain": 0.05},

@@ -1,6 +1,8 @@
 """A piece that an operator added, from its file to a measured model."""
 
+import io
 import json
+from contextlib import redirect_stderr, redirect_stdout
 from importlib.resources import files
 from pathlib import Path
 
@@ -12,11 +14,10 @@ from backend.objects.catalogue import load_catalogue
 from backend.objects.surface import face_points
 
 
-@pytest.fixture
-def pieces(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def pieces(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a smaller pot of the operator's own."""
-    folder = tmp_path / "pieces"
-    folder.mkdir()
+    folder = tmp_path_factory.mktemp("pieces")
     text = files("resources").joinpath("objects", "pot.toml").read_text("utf-8")
     assert "diameter_mm = " in text
     lines = [
@@ -27,15 +28,17 @@ def pieces(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.fixture
-def model(pieces: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
-    words = ["models", "--pieces", "own", "--pieces-dir", str(pieces), "--out", str(tmp_path)]
+@pytest.fixture(scope="module")
+def model(pieces: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("own")
+    words = ["models", "--pieces", "own", "--pieces-dir", str(pieces), "--out", str(folder)]
     words += ["--episodes", "4", "--test-episodes", "2", "--epochs", "1", "--workers", "1"]
-    assert main([*words, "--json"]) == 0
-    told = capsys.readouterr()
-    assert told.err == ""
-    assert list(json.loads(told.out)["models"]) == ["own"]
-    return tmp_path / "own.safetensors"
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        assert main([*words, "--json"]) == 0
+    assert err.getvalue() == ""
+    assert list(json.loads(out.getvalue())["models"]) == ["own"]
+    return folder / "own.safetensors"
 
 
 def test_models_are_made_of_the_faces_of_own_pieces(pieces: Path, model: Path) -> None:

@@ -38,6 +38,8 @@ class Collected:
             brisk_bench("quiet"), keep=Keep(None), method=method or brisk_method(**limits)
         )
         self.session.dataset = self.dataset
+        # By default a short campaign grips anew for each probe; here one grip is enough.
+        self._per_grip = limits.get("probes_per_grip", 50)
         self.facts, self.truth = [], {}
         self.session.hub.subscribe(self._take)
 
@@ -45,7 +47,8 @@ class Collected:
         self.facts.append(fact)
 
     def run(self, **changes):
-        asked = {"piece": "pot", "bottom": "circle15", "count": 5, "seed": 2, "person": "ann"}
+        asked = {"piece": "pot", "bottom": "circle15", "count": 5, "seed": 2, "person": "ann",
+                 "probes_per_grip": self._per_grip}  # fmt: skip
         self.session.run(CollectRequest(**{**asked, **changes}))
         return self
 

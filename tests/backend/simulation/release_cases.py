@@ -41,11 +41,11 @@ class Opinions:
         return differs(self.verdict, self.fallen)
 
 
-def ask_both(name: str) -> Iterator[Opinions]:
-    """Yield the opinions on all stacks of one of ``SETS``."""
+def ask_both(name: str, share: float = 1.0) -> Iterator[Opinions]:
+    """Yield the opinions on the stacks of one of ``SETS``, or on the first ``share`` of them."""
     count, fixed, cases = SETS[name]
     rng = np.random.default_rng(20)
-    for _ in range(cases):
+    for _ in range(round(share * cases)):
         tower = stack(rng, count, fixed=fixed, yaw=not fixed)
         verdict = judge(tower)
         near = abs(verdict.margin_mm) <= CLEAR_MM

@@ -32,6 +32,12 @@ from widgets.time_line import TimeLine
 from widgets.wrapped_items import WrappedItems
 
 KINDS = (("all", "All recordings"), ("runs", "Runs"), ("series", "Series of the dataset"))
+ORDERS = (
+    ("kind", "Runs, then series"),
+    ("newest", "Newest first"),
+    ("oldest", "Oldest first"),
+    ("pair", "By pair and outcome"),
+)
 FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
 
 
@@ -43,6 +49,7 @@ class ReviewIntents:
     seek: Callable[[float], None]
     play: Callable[[], None]
     filter: Callable[[], None]
+    sort: Callable[[], None]
     picture: Callable[[], None]
     table: Callable[[], None]
     viewer: Callable[[], None]
@@ -74,7 +81,7 @@ class ReviewPage(QWidget):
         self._intents = intents
         self.runs, self.trials = QuietList("Recorded runs"), QuietList("Trials of the run")
         self.story = QuietList("What happened")
-        self.kind, self.filter = QComboBox(), QLineEdit()
+        self.kind, self.order, self.filter = QComboBox(), QComboBox(), QLineEdit()
         self.refresh = QPushButton("Refresh")
         self.empty = label("", "muted", wrap=True)
         self.belief, self.legend = BeliefView(theme), BeliefLegend(theme)
@@ -113,9 +120,15 @@ class ReviewPage(QWidget):
     # -- inside -----------------------------------------------------------------------------------
 
     def _name(self) -> None:
-        for name, text in KINDS:
-            self.kind.addItem(text, name)
+        for combo, entries in ((self.kind, KINDS), (self.order, ORDERS)):
+            for name, text in entries:
+                combo.addItem(text, name)
+            combo.setSizeAdjustPolicy(
+                QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
+            )
         self.kind.setAccessibleName("Kind of recording")
+        self.order.setAccessibleName("Order of the recordings")
+        self.order.setToolTip("How the recordings are sorted")
         self.filter.setPlaceholderText("Filter: pot, fell, 2026-11")
         self.filter.setAccessibleName("Filter of the recordings")
         self.filter.setClearButtonEnabled(True)
@@ -128,12 +141,13 @@ class ReviewPage(QWidget):
         self.play.setAccessibleName("Play or pause")
         self.filter.textChanged.connect(lambda _: self._intents.filter())
         self.kind.currentIndexChanged.connect(lambda _: self._intents.filter())
+        self.order.currentIndexChanged.connect(lambda _: self._intents.sort())
         self.play.clicked.connect(self._intents.play)
         self.film.ran.connect(lambda on: self.play.setText("Pause" if on else "Play"))
 
     def _arrange(self) -> None:
         runs = Panel("Recordings")
-        for widget in (self.kind, self.filter):
+        for widget in (self.kind, self.order, self.filter):
             runs.column.addWidget(widget)
         runs.column.addWidget(self.runs, 1)
         runs.column.addWidget(self.empty)

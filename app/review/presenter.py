@@ -7,6 +7,7 @@ from datetime import datetime
 from pathlib import Path
 
 from PySide6.QtCore import QTimer
+from PySide6.QtWidgets import QListWidgetItem
 
 from app.label.commits import Commits
 from app.review.collection import Collection, collection_of
@@ -44,6 +45,8 @@ class ReviewPresenter:
         self._reader, self.library = reader, library
         self.replay = Replay(page)
         self._folders: list[Path] = []
+        self._items: list[QListWidgetItem] = []
+        """Runs, then series, newest first, however the list is sorted."""
         self._series: list[Series] = []
         self.story = RunStory()
         self.timed: list[TimedTrial] = []
@@ -89,31 +92,49 @@ class ReviewPresenter:
         """Show only recordings of the chosen kind whose line holds all words of the filter."""
         words = self._page.filter.text().lower().split()
         kind = self._page.kind.currentData()
-        for row in range(self._page.runs.count()):
-            item = self._page.runs.item(row)
-            is_run = row < len(self._folders)
+        for at, item in enumerate(self._items):
+            is_run = at < len(self._folders)
             fits = kind == "all" or (kind == "runs") == is_run
             item.setHidden(not (fits and all(word in item.text().lower() for word in words)))
 
-    def _list(self) -> None:
-        runs = self._page.runs
-        runs.blockSignals(True)
-        runs.clear()
-        runs.addItems([run_title(folder.name) for folder in self._folders])
-        runs.addItems([series.title for series in self._series])
-        runs.setCurrentRow(-1)
-        runs.blockSignals(False)
+    def sort(self) -> None:
+        """Put the recordings in the chosen order; what is chosen stays chosen."""
+        runs, items = self._page.runs, self._items
+        order, chosen = self._page.order.currentData(), runs.currentItem()
+        texts = [item.text() for item in items]
+        found = list(range(len(items)))
+        if order == "pair":
+            found.sort(key=lambda at: texts[at].partition("\n")[2].removeprefix("series: "))
+        elif order != "kind":
+            found.sort(key=lambda at: texts[at], reverse=order == "newest")
+        if [runs.item(row) for row in range(runs.count())] != [items[at] for at in found]:
+            runs.blockSignals(True)
+            while runs.count():
+                runs.takeItem(0)
+            for at in found:
+                runs.addItem(items[at])
+            runs.setCurrentRow(-1 if chosen is None else runs.row(chosen))
+            runs.blockSignals(False)
         self.filter()
+
+    def _list(self) -> None:
+        titles = [run_title(folder.name) for folder in self._folders]
+        titles += [series.title for series in self._series]
+        self._page.runs.blockSignals(True)
+        self._page.runs.clear()
+        self._page.runs.blockSignals(False)
+        self._items = [QListWidgetItem(title) for title in titles]
+        self.sort()
 
     def _take_series(self, series: list[Series]) -> None:
         if series != self._series:
-            chosen = self._page.runs.currentRow()
+            chosen = self._chosen()
             self._series = series
             self._described.clear()
             self._list()
             if 0 <= chosen < len(self._folders):
                 self._page.runs.blockSignals(True)
-                self._page.runs.setCurrentRow(chosen)
+                self._page.runs.setCurrentItem(self._items[chosen])
                 self._page.runs.blockSignals(False)
             self._to_describe = list(range(min(len(self._folders), MOST_DESCRIBED)))
             self._describing.start()
@@ -124,12 +145,11 @@ class ReviewPresenter:
             self._describe(self._to_describe.pop(0))
         else:
             self._describing.stop()
-            self.filter()
+            self.sort()
 
-    def _describe(self, row: int) -> None:
-        """Say what the run in ``row`` was; read again only if its journal has grown."""
-        item = self._page.runs.item(row)
-        folder = self._folders[row]
+    def _describe(self, at: int) -> None:
+        """Say what a run was; read again only if its journal has grown."""
+        item, folder = self._items[at], self._folders[at]
         try:
             size = (folder / NAME).stat().st_size
             if self._described.get(folder) == size:
@@ -141,12 +161,18 @@ class ReviewPresenter:
         item.setText(f"{run_title(folder.name)}\n{text}")
         item.setToolTip(text)
 
-    def _choose_row(self, row: int) -> None:
-        if 0 <= row < len(self._folders):
-            self._describe(row)
-            self.open(self._folders[row])
-        elif 0 <= row - len(self._folders) < len(self._series):
-            self._open_series(self._series[row - len(self._folders)])
+    def _chosen(self) -> int:
+        """Return which item is chosen, -1 if none is."""
+        chosen = self._page.runs.currentItem()
+        return next((at for at, item in enumerate(self._items) if item is chosen), -1)
+
+    def _choose_row(self, _row: int) -> None:
+        at = self._chosen()
+        if 0 <= at < len(self._folders):
+            self._describe(at)
+            self.open(self._folders[at])
+        elif 0 <= at - len(self._folders) < len(self._series):
+            self._open_series(self._series[at - len(self._folders)])
 
     # -- one recording ----------------------------------------------------------------------------
 

@@ -74,6 +74,7 @@ class ReviewWorkspace(Workspace):
             seek=lambda t_s: self.presenter.replay.seek(t_s),
             play=self._play,
             filter=lambda: self.presenter.filter(),
+            sort=lambda: self.presenter.sort(),
             picture=self._picture,
             table=self._table,
             viewer=self._open_outside,

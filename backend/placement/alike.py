@@ -45,7 +45,7 @@ def _without_own(near: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the neighbours (n, k) but each episode itself, which equal signals may hide."""
     own = near == np.arange(len(near))[:, None]
     own[~own.any(axis=1), -1] = True
-    return near[~own].reshape(len(near), -1)
+    return np.asarray(near[~own].reshape(len(near), -1), dtype=np.intp)
 
 
 def _off(

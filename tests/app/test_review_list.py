@@ -76,6 +76,33 @@ def test_the_list_fills_in_newest_first_and_survives_damage(main, qtbot, tmp_pat
     assert rows.item(0).toolTip() == "barrel on short: fell"
 
 
+def test_recordings_are_sorted_and_the_chosen_one_stays(main, qtbot, tmp_path):
+    for number, piece in ((701, "pot"), (702, "barrel"), (703, "mushroom")):
+        record(tmp_path / "runs" / f"20261121-0415{number % 100:02}-703", [Outcome.FELL],
+               piece=piece)  # fmt: skip
+    main.go("review")
+    page, presenter = main.workspaces["review"].page, main.workspaces["review"].presenter
+    qtbot.waitUntil(lambda: not presenter._describing.isActive(), timeout=3000)
+
+    def pieces():
+        items = [page.runs.item(row) for row in range(page.runs.count())]
+        return [item.text().partition("\n")[2].split()[0] for item in items]
+
+    assert pieces() == ["mushroom", "barrel", "pot"]
+    page.runs.setCurrentRow(0)
+    assert presenter.story.head.piece == "mushroom"
+    page.order.setCurrentIndex(page.order.findData("oldest"))
+    assert pieces() == ["pot", "barrel", "mushroom"]
+    assert page.runs.currentRow() == 2
+    page.order.setCurrentIndex(page.order.findData("pair"))
+    assert pieces() == ["barrel", "mushroom", "pot"]
+    page.runs.setCurrentRow(0)
+    assert presenter.story.head.piece == "barrel"
+    page.filter.setText("pot")
+    page.order.setCurrentIndex(page.order.findData("newest"))
+    assert [page.runs.item(row).isHidden() for row in range(3)] == [True, True, False]
+
+
 def test_only_the_newest_are_described_until_one_is_opened(main, qtbot, tmp_path, monkeypatch):
     monkeypatch.setattr(review, "MOST_DESCRIBED", 1)
     for number in (701, 702):

@@ -47,6 +47,7 @@ class LimitsSheet(QDialog):
         self._grid.setHorizontalSpacing(20)
         self._grid.setVerticalSpacing(6)
         self.boxes: dict[str, QDoubleSpinBox] = {}
+        self._shown: dict[str, tuple[float, float]] = {}
         self.edit = QPushButton("Unlock")
         self.edit.setCheckable(True)
         self.edit.setToolTip("Let the limits be changed")
@@ -62,6 +63,7 @@ class LimitsSheet(QDialog):
             self._build(rows)
         for row in rows:
             self.boxes[row.name].setValue(row.value)
+            self._shown[row.name] = (row.value, self.boxes[row.name].value())
         self.source.setText(source)
         self.said.setText("")
         self.question.withdraw()
@@ -117,4 +119,10 @@ class LimitsSheet(QDialog):
             self.question.withdraw()
 
     def _taken(self) -> None:
-        self.said.setText(self._offer({name: box.value() for name, box in self.boxes.items()}))
+        self.said.setText(self._offer({name: self._value(name) for name in self.boxes}))
+
+    def _value(self, name: str) -> float:
+        """Return a limit; one that nobody touched keeps the digits that its box does not show."""
+        value, shown = self._shown[name]
+        now = self.boxes[name].value()
+        return value if now == shown else now

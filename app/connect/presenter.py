@@ -71,7 +71,7 @@ class ConnectPresenter:
 
     def _begin(self, names: tuple[str, ...]) -> None:
         if self._link.interlock.stopped_by:
-            raise RefusedError("STOPPED", "The bench is stopped: press Reset, then connect.")
+            raise RefusedError("NOT-RESET", "The bench is stopped: press Reset, then connect.")
         self._connection.begin(names)
 
     def _disconnect(self) -> None:

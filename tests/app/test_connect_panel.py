@@ -1,0 +1,215 @@
+"""The Connect panel and the limits: every step shown, nothing changed without a second word."""
+
+from dataclasses import replace
+
+import pytest
+from PySide6.QtWidgets import QApplication
+
+from app.connect.banner import words_of
+from app.connect.limits import TITLES, rows_of, unit_of
+from app.connect.presenter import row_of
+from backend.config.bench_facts import BenchFacts
+from backend.core.faults import Fault, RefusedError
+from backend.devices.interlock import Limits
+from backend.devices.protocols import DeviceState, Identity
+from backend.rig.connection import Connection, DeviceLine
+from tests.app.conftest import settle
+from tests.backend.devices.waiting import until
+from tests.backend.rig.scripted import LINES, held, scripted
+
+FAULT = Fault("LINK", "The camera is lost.", "It stands.", "Plug it in.", "tactile_left")
+WHO = Identity("Maker", "Model", "7", "1")
+
+
+@pytest.fixture
+def devices():
+    return scripted()[0]
+
+
+@pytest.fixture
+def lab(main, bench, devices):
+    """The window on the stand-in bench, as if its devices were connected by hand."""
+    bench.connection, bench.name = Connection(devices), "Bench 2"
+    bench.facts, bench.simulated = BenchFacts(mode="hardware"), False
+    bench.limits_source, bench.left = "lab.toml", []
+    bench.leave_scene = lambda: bench.left.append("scene")
+    bench.home_gripper = lambda: bench.left.append("homed")
+    main.attach(bench)
+    yield main
+    bench.connection.close()
+
+
+def shown(main):
+    main.panels.connect.draw(at_once=True)
+    return main.panels.connect.sheet
+
+
+def wait(bench):
+    until(lambda: not bench.connection.busy)
+
+
+@pytest.mark.parametrize(
+    ("mode", "banner", "striped", "note"),
+    [
+        ("simulated", "SIMULATED BENCH", True, "simulated"),
+        ("emulated", "EMULATED BENCH", True, "emulated"),
+        ("hardware", "Bench 2", False, ""),
+    ],
+)
+def test_each_kind_of_bench_has_its_own_words(bench, mode, banner, striped, note):
+    bench.facts, bench.name = BenchFacts(mode=mode), "Bench 2"
+    words = words_of(bench)
+    assert (words.banner, words.striped, words.note) == (banner, striped, note)
+    assert ("SIMULATED" in words.title) is (mode == "simulated")
+    assert ("EMULATED" in words.title) is (mode == "emulated")
+
+
+@pytest.mark.parametrize(
+    ("line", "marks", "label"),
+    [
+        (DeviceLine("arm", "closed", 0), "open open open open", "Connect"),
+        (DeviceLine("arm", "connecting", 2), "done done now open", "Connect"),
+        (DeviceLine("arm", "ready", 4, WHO), "done done done done", "Disconnect"),
+        (DeviceLine("arm", "failed", 1, None, FAULT), "done failed open open", "Retry"),
+        (DeviceLine("arm", "failed", 4, WHO, FAULT), "done done done failed", "Retry"),
+    ],
+)
+def test_the_marks_of_a_row_say_how_far_it_came(line, marks, label):
+    look = row_of(line, can=True)
+    assert (" ".join(look.marks), look.label) == (marks, label)
+    if line.fault is not None:
+        assert look.text == "The camera is lost. Plug it in."
+
+
+def test_real_devices_take_the_words_of_the_simulation_away(lab):
+    assert lab.window.windowTitle() == "Touchdown (Bench 2)"
+    assert lab.window._banner._word == "Bench 2"
+    settle(lab)
+    assert lab.bar.pill.state.word == "NO DEVICES"
+    assert "simulated" not in lab.bar.pill.state.note
+    assert lab.bar.override.value() == 10
+
+
+def test_the_panel_is_there_at_once_and_connects_all(lab, bench, devices):
+    assert lab.panels.connect.sheet.isVisible()
+    devices["gripper"].hold = held()
+    lab.panels.connect.sheet.connect_all.click()
+    until(lambda: bench.connection.lines()[3].state == "connecting")
+    sheet = shown(lab)
+    assert [sheet.row(i)[0] for i in range(5)] == [*["ready"] * 3, "connecting", "waiting"]
+    assert not sheet.connect_all.isEnabled()
+    assert "3 of 5 connected. Nothing moves" in sheet.text.text()
+    settle(lab)
+    assert lab.bar.pill.state.word == "CONNECTING"
+    devices["gripper"].hold.set()
+    wait(bench)
+    assert shown(lab).text.text() == "All devices are ready."
+
+
+def test_one_that_failed_says_what_to_do_and_is_tried_alone(lab, bench, devices):
+    devices["tactile_left"].fails_at = "identify"
+    lab.panels.connect.sheet.connect_all.click()
+    wait(bench)
+    sheet = shown(lab)
+    state, text, button, _ = sheet.row(1)
+    assert (state, text) == ("failed", "tactile_left: identify. Look at it.")
+    assert button.text() == "Retry"
+    settle(lab)
+    assert lab.bar.pill.state.word == "NOT READY"
+    devices["tactile_left"].fails_at = ""
+    button.click()
+    wait(bench)
+    assert shown(lab).row(1)[0] == "ready"
+
+
+def test_disconnecting_one_leaves_the_scene_first(lab, bench, devices):
+    lab.panels.connect.sheet.connect_all.click()
+    wait(bench)
+    shown(lab).row(0)[2].click()
+    wait(bench)
+    assert bench.left == ["scene"]
+    assert devices["force_torque"].state is DeviceState.CLOSED
+    bench.leave_scene = lambda: (_ for _ in ()).throw(RefusedError("BUSY", "A run is going on."))
+    shown(lab).row(1)[2].click()
+    assert devices["tactile_left"].state is DeviceState.READY
+    assert "BUSY" in lab.cards.codes
+
+
+def test_the_key_opens_connects_and_cancels(lab, bench, devices):
+    sheet = lab.panels.connect.sheet
+    sheet.close()
+    lab.actions.action("connect").trigger()
+    assert sheet.isVisible()
+    assert not bench.connection.busy
+    devices["arm"].hold = held()
+    lab.actions.action("connect").trigger()
+    until(lambda: bench.connection.lines()[4].state == "connecting")
+    lab.actions.action("connect").trigger()
+    wait(bench)
+    assert bench.connection.missing() == ("arm",)
+
+
+def test_after_stop_nothing_is_connected_before_reset(lab, bench):
+    lab.stop()
+    lab.panels.connect.sheet.connect_all.click()
+    assert not bench.connection.busy
+    assert lab.cards.card("STOPPED").text.reset, "the refusal does not take the place of STOP"
+    assert "press Reset" in lab.cards.card("NOT-RESET").text.what
+    assert len(bench.connection.missing()) == len(LINES)
+
+
+def test_every_limit_is_shown_with_its_unit():
+    assert {row.name for row in rows_of(Limits())} == {*Limits.__dataclass_fields__}
+    assert [unit_of(n) for n in ("trip_nm", "trip_n", "jog_mm_s", "turn_rad_s", "tilt_rad")] == [
+        "N\N{MIDDLE DOT}m", "N", "mm/s", "rad/s", "rad",
+    ]  # fmt: skip
+    assert len(TITLES) == len(rows_of(Limits()))
+
+
+def limits_sheet(main):
+    main.actions.action("limits").trigger()
+    return main.panels.limits.sheet
+
+
+def test_limits_are_locked_and_say_where_they_come_from(lab):
+    sheet = limits_sheet(lab)
+    assert sheet.source.text() == "From lab.toml."
+    assert not any(box.isEnabled() for box in sheet.boxes.values())
+    assert not sheet.take.isEnabled()
+
+
+def test_a_limit_changes_on_the_second_word_only(lab, bench):
+    sheet = limits_sheet(lab)
+    sheet.edit.click()
+    sheet.boxes["press_n"].setValue(20.0)
+    sheet.take.click()
+    assert "Press 25 \N{RIGHTWARDS ARROW} 20 N" in sheet.question.text.text()
+    assert bench.interlock.limits == Limits()
+    sheet.question.no.click()
+    assert bench.interlock.limits == Limits()
+    sheet.take.click()
+    sheet.question.yes.click()
+    assert bench.interlock.limits == replace(Limits(), press_n=20.0)
+    assert "changed at" in sheet.source.text()
+    assert not sheet.take.isEnabled()
+
+
+def test_limits_that_contradict_each_other_are_not_even_offered(lab, bench):
+    sheet = limits_sheet(lab)
+    sheet.edit.click()
+    sheet.boxes["press_n"].setValue(50.0)
+    sheet.take.click()
+    assert sheet.said.text() == "'press_n' is above 'trip_n'"
+    assert not sheet.question.isVisible()
+
+
+def test_limits_stay_while_something_moves(lab, bench):
+    bench.interlock.renew_lease(bench.clock_s())
+    sheet = limits_sheet(lab)
+    sheet.edit.click()
+    sheet.boxes["press_n"].setValue(20.0)
+    sheet.take.click()
+    sheet.question.yes.click()
+    assert bench.interlock.limits == Limits()
+    assert "MOVING" in lab.cards.codes
+    QApplication.processEvents()

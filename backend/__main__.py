@@ -20,6 +20,7 @@ VERBS = {
     "app": "open the window",
     "stack": "place a piece by touch on the simulated bench or on a lab's devices",
     "demo": "stack three pieces without a screen and leave a report",
+    "calibrate": "measure payload, board, tool, wrist and cameras, or show how they stand",
     "collect": "collect labelled probes into a dataset",
     "dataset": "show, check, back up, rebuild and merge datasets",
     "export": "hand episodes and labels on in a format that others read",

@@ -1,0 +1,270 @@
+"""``touchdown calibrate``: measure what the bench has to know about itself, and accept it."""
+
+from __future__ import annotations
+
+import argparse
+import getpass
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.table import Table
+
+from backend.calibration.kinds import KINDS, WHATS, What
+from backend.config.lab import is_lab_file
+from backend.core.facts import (
+    CalibrationMeasured,
+    Fact,
+    FaultRaised,
+    HandOverAwaited,
+    Progress,
+    RunFinished,
+    Said,
+)
+from backend.core.faults import InputError
+from backend.runs.requests import CalibrateRequest
+from backend.runs.store import calibrations_folder
+from backend.runs.words import hand_over
+from backend.verbs.connecting import add_lab_arguments, ask_on_a_thread, lab_bench
+from backend.verbs.ctrl_c import ctrl_c_cancels
+from backend.verbs.screen import Advance, Screen
+
+if TYPE_CHECKING:
+    from backend.calibration.store import CalibrationStore
+    from backend.session import Session
+
+NAME = "calibrate"
+HELP = "measure and accept calibrations, or show how they stand"
+JSON_VERSION = 1
+TITLES: dict[str, str] = {kind.what: kind.title for kind in KINDS.values()}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments of this verb."""
+    parser.add_argument("what", choices=(*WHATS, "status"), help="what to measure, or 'status'")
+    parser.add_argument("--accept", action="store_true", help="keep the result if it is acceptable")
+    parser.add_argument("--piece", default="pot", help="held piece (default: pot)")
+    parser.add_argument("--bottom", default="square15", help="board or bottom (default: square15)")
+    parser.add_argument(
+        "--origin", type=float, nargs=2, default=(0.0, 0.0), metavar=("X", "Y"),
+        help="centre of the bottom in the frame of the arm, mm (default: 0 0)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--pitch", type=float, default=1.9, metavar="MM", help="of the dots (default: 1.9)"
+    )
+    parser.add_argument(
+        "--hand-over", action="store_true",
+        help="hand the piece to the gripper, where there is no jig; Enter confirms",
+    )  # fmt: skip
+    parser.add_argument("--person", help="who accepts (default: the account's name)")
+    parser.add_argument("--seed", type=int, default=0, help="of the simulated bench")
+    parser.add_argument("--preset", help="noise preset of the simulated bench")
+    parser.add_argument(
+        "--bench", metavar="FILE", help="lab file, or settings of the simulated bench (TOML)"
+    )
+    parser.add_argument(
+        "--emulated", action="store_true",
+        help="through real drivers and wires to emulated devices, in real time",
+    )  # fmt: skip
+    parser.add_argument("--calibrations", metavar="DIR", help="their folder (default: the bench's)")
+    add_lab_arguments(parser)
+
+
+def run(args: argparse.Namespace, screen: Screen) -> int:
+    """Measure; 0 if the result is acceptable (and kept, with --accept), else 1.
+
+    Status: 0 if all calibrations hold.
+    """
+    if not args.pitch > 0:
+        raise InputError("The pitch must be positive.", "--pitch", "Give it in mm, such as 1.9.")
+    if args.what == "status":
+        return _status(_store_of(args), screen)
+    what: What = args.what
+    if args.hand_over and screen.json:
+        raise InputError(
+            "Nobody would see when to hold the piece.", "--hand-over", "Leave out --json."
+        )
+    request = CalibrateRequest(
+        what, args.piece, args.bottom, args.seed, (args.origin[0], args.origin[1]),
+        args.hand_over, args.pitch,
+    )  # fmt: skip
+    with _session(args, screen) as session, ExitStack() as bars:
+        told = _Told(screen, bars, session)
+        session.hub.subscribe(told.take)
+        with ctrl_c_cancels(session.engine.cancel):
+            session.run(request)
+        return _report(args, session, told, screen)
+
+
+class _Told:
+    """What the run told so far, and the bar that follows it."""
+
+    def __init__(self, screen: Screen, bars: ExitStack, session: Session) -> None:
+        self._screen, self._bars, self._session = screen, bars, session
+        self._advance: Advance | None = None
+        self.measured: CalibrationMeasured | None = None
+        self.ended: RunFinished | None = None
+        self.faults: list[str] = []
+
+    def take(self, fact: Fact) -> None:
+        """Take one fact."""
+        if isinstance(fact, Progress):
+            if self._advance is None:
+                bar = self._screen.progress("Calibrating", fact.total)
+                self._advance = self._bars.enter_context(bar)
+            self._advance(fact.done, fact.text)
+        elif isinstance(fact, HandOverAwaited):
+            self._screen.say(f"  {hand_over(fact)} Enter confirms.")
+            ask_on_a_thread(self._session.answer)
+        elif isinstance(fact, Said):
+            self._screen.say(f"  {fact.text}")
+        elif isinstance(fact, FaultRaised):
+            self.faults.append(fact.fault.code)
+        elif isinstance(fact, CalibrationMeasured):
+            self.measured = fact
+        elif isinstance(fact, RunFinished):
+            self.ended = fact
+
+
+def _report(args: argparse.Namespace, session: Session, told: _Told, screen: Screen) -> int:
+    from backend.runs.calibrated import device_names
+
+    found, path = told.measured, None
+    if found is not None:
+        screen.show(_table(found))
+        for text in (found.note, found.obstacle):
+            if text:
+                screen.say(text)
+    elif told.ended is not None:
+        screen.say(told.ended.reason)
+    if found is not None and args.accept and found.acceptable:
+        assert session.calibrations is not None
+        person = args.person or getpass.getuser()
+        path = session.calibrations.accept(found, device_names(session.devices), person)
+        screen.say(f"Accepted: {path}")
+    elif found is not None:
+        screen.say(_verdict(found))
+    screen.result({
+        "version": JSON_VERSION,
+        "what": args.what,
+        "ending": None if told.ended is None else told.ended.ending,
+        "reason": None if told.ended is None else told.ended.reason,
+        "measured": None if found is None else _as_json(found),
+        "accepted": None if path is None else str(path),
+        "faults": told.faults,
+    })  # fmt: skip
+    return 0 if found is not None and found.acceptable else 1
+
+
+def _verdict(found: CalibrationMeasured) -> str:
+    if found.acceptable:
+        return "Acceptable; nothing is kept without --accept."
+    if found.obstacle:
+        return "Not acceptable as the bench is set."
+    return f"Not acceptable: {found.residual:.3g} exceeds {found.limit:g} {found.unit}."
+
+
+def _table(found: CalibrationMeasured) -> Table:
+    table = Table(title=TITLES[found.what])
+    for column in ("quantity", "value", "sigma", "unit"):
+        table.add_column(column, justify="left" if column in ("quantity", "unit") else "right")
+    for row in zip(found.names, found.values, found.sigmas, found.units, strict=True):
+        name, value, sigma, unit = row
+        table.add_row(name, f"{value:.4f}", f"{sigma:.4f}", unit)
+    table.add_row("residual", f"{found.residual:.3f}", f"limit {found.limit:g}", found.unit)
+    return table
+
+
+def _as_json(found: CalibrationMeasured) -> dict[str, object]:
+    rows = zip(found.names, found.values, found.sigmas, found.units, strict=True)
+    return {
+        "values": {n: {"value": v, "sigma": s, "unit": u} for n, v, s, u in rows},
+        "residual": found.residual,
+        "limit": found.limit,
+        "unit": found.unit,
+        "acceptable": found.acceptable,
+        "note": found.note,
+        "obstacle": found.obstacle,
+    }
+
+
+def _status(store: CalibrationStore, screen: Screen) -> int:
+    from datetime import UTC, datetime
+
+    now = datetime.now(UTC)
+    standings = store.standings({}, now)
+    table = Table(title=f"Calibrations in {store.folder}")
+    for column in ("what", "condition", "residual", "date", "days left"):
+        table.add_column(column)
+    rows = []
+    for standing in standings:
+        record = standing.record
+        file = None if record is None else record.file
+        left = None if record is None else record.days_left(now)
+        table.add_row(
+            KINDS[standing.what].title,
+            standing.condition,
+            "" if file is None else f"{file.residual:.3f} of {file.limit:g} {file.unit}",
+            "" if file is None else f"{file.date:%Y-%m-%d %H:%M}",
+            "" if left is None else f"{max(left, 0.0):.0f}",
+        )
+        rows.append({
+            "what": standing.what,
+            "condition": standing.condition,
+            "why": standing.why,
+            "sha256": None if record is None else record.sha256,
+            "days_left": left,
+        })  # fmt: skip
+    screen.show(table)
+    for standing in standings:
+        if standing.fix:
+            screen.say(f"{KINDS[standing.what].title}: {standing.why}. {standing.fix}")
+    screen.result({"version": JSON_VERSION, "folder": str(store.folder), "calibrations": rows})
+    return 0 if all(standing.condition == "valid" for standing in standings) else 1
+
+
+def _store_of(args: argparse.Namespace) -> CalibrationStore:
+    from backend.calibration.store import CalibrationStore
+    from backend.config.lab import load_lab
+
+    folder = Path(args.calibrations) if args.calibrations else calibrations_folder()
+    if args.bench is not None and is_lab_file(Path(args.bench)):
+        lab = load_lab(Path(args.bench))
+        own = folder if args.calibrations else lab.calibrations
+        return CalibrationStore(own, lab.settings.kind)
+    return CalibrationStore(folder, "emulated" if args.emulated else "simulated")
+
+
+@contextmanager
+def _session(args: argparse.Namespace, screen: Screen) -> Iterator[Session]:
+    """Open a session on the bench that was asked for; closed in the end."""
+    from backend.assembly import SimulatedBenchChoice, simulated_session
+    from backend.session import Keep
+
+    keep, store = Keep(None), _store_of(args)
+    if args.bench is not None and is_lab_file(Path(args.bench)):
+        from backend.lab import LabChoice
+
+        choice = LabChoice(Path(args.bench))
+        home, override = args.home, args.override
+        with lab_bench(choice, keep, None, screen, home=home, override=override) as session:
+            session.calibrations = store
+            yield session
+        return
+    bench = SimulatedBenchChoice(
+        file=None if args.bench is None else Path(args.bench), preset=args.preset
+    )
+    if args.emulated:
+        from backend.emulated import EmulatedBench
+
+        with EmulatedBench(bench, keep=keep) as emulated:
+            emulated.session.calibrations = store
+            yield emulated.session
+        return
+    session = simulated_session(bench, keep=keep)
+    session.calibrations = store
+    try:
+        yield session
+    finally:
+        session.close()

@@ -1,0 +1,99 @@
+"""``touchdown calibrate``: what is acceptable can be kept, and status says what lacks."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from backend.__main__ import main
+from backend.calibration.estimate import Estimate, Quantity
+from backend.calibration.kinds import WHATS
+from backend.calibration.record import read_record
+from backend.calibration.store import CalibrationStore
+from backend.core.facts import RunFinished
+from backend.runs.store import calibrations_folder
+from backend.verbs import calibrate
+from backend.verbs.screen import Screen
+
+GOOD = Estimate(
+    (Quantity("mass_kg", 1.5, 0.01, "kg"),), np.eye(1), np.zeros(6), 0.05, 0.3, "N", note="Level."
+).told(0.0, "payload")
+
+
+class Bench:
+    """A session as far as a report needs one."""
+
+    devices: dict[str, object] = {}  # noqa: RUF012
+
+    def __init__(self, folder: Path) -> None:
+        self.calibrations = CalibrationStore(folder, "simulated")
+
+
+def reported(folder: Path, found, *, accept: bool) -> tuple[int, dict]:
+    stream = io.StringIO()
+    screen = Screen(json=True, stream=stream)
+    told = calibrate._Told(screen, None, None)
+    told.take(RunFinished(1.0, "r", "finished", "Done."))
+    if found is not None:
+        told.take(found)
+    args = argparse.Namespace(what="payload", accept=accept, person="Ada")
+    code = calibrate._report(args, Bench(folder), told, screen)
+    return code, json.loads(stream.getvalue())
+
+
+def test_a_good_result_is_kept_only_when_accepted(tmp_path) -> None:
+    code, told = reported(tmp_path, GOOD, accept=False)
+    assert (code, told["accepted"], list(tmp_path.iterdir())) == (0, None, [])
+    assert told["measured"]["values"]["mass_kg"] == {"value": 1.5, "sigma": 0.01, "unit": "kg"}
+    code, told = reported(tmp_path, GOOD, accept=True)
+    assert code == 0
+    assert read_record(Path(told["accepted"])).file.person == "Ada"
+
+
+@pytest.mark.parametrize("change", [{"residual": 0.4}, {"obstacle": "Turn ft.rotation."}])
+def test_a_bad_result_is_never_kept(tmp_path, change) -> None:
+    code, told = reported(tmp_path, replace(GOOD, **change), accept=True)
+    assert (code, told["accepted"], told["measured"]["acceptable"]) == (1, None, False)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_ended_early_is_no_result(tmp_path) -> None:
+    code, told = reported(tmp_path, None, accept=True)
+    assert (code, told["measured"], told["reason"]) == (1, None, "Done.")
+
+
+def test_status_says_what_lacks_and_what_to_do(capsys) -> None:
+    store = CalibrationStore(calibrations_folder(), "simulated")
+    store.accept(GOOD, {}, now=datetime.now(UTC))
+    assert main(["calibrate", "status"]) == 1
+    said = capsys.readouterr().out
+    assert "Run 'touchdown calibrate board'." in said
+    assert main(["calibrate", "status", "--json"]) == 1
+    rows = json.loads(capsys.readouterr().out)["calibrations"]
+    assert [row["what"] for row in rows] == list(WHATS)
+    assert [row["condition"] for row in rows] == ["valid"] + 4 * ["missing"]
+
+
+def test_a_board_that_is_not_there_is_said_with_exit_code_1(tmp_path, capsys) -> None:
+    bench = tmp_path / "bench.toml"
+    # Few pictures: none of them matters here.
+    bench.write_text('preset = "off"\n[tactile]\nrate_hz = 4.0\n')
+    words = ["board", "--origin", "40", "0", "--bench", str(bench), "--json"]
+    assert main(["calibrate", *words]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["ending"] == "failed"
+    assert "Nothing is felt" in told["reason"]
+    assert told["measured"] is None
+
+
+def test_senseless_words_are_refused(capsys) -> None:
+    assert main(["calibrate", "camera", "--pitch", "0"]) == 2
+    assert "--pitch" in capsys.readouterr().err
+    assert main(["calibrate", "board", "--hand-over", "--json"]) == 2

@@ -12,7 +12,6 @@ from PySide6.QtWidgets import (
     QHBoxLayout,
     QLineEdit,
     QListWidget,
-    QPushButton,
     QToolButton,
     QVBoxLayout,
     QWidget,
@@ -31,12 +30,12 @@ from widgets.theme import Theme
 from widgets.time_line import TimeLine
 from widgets.wrapped_items import WrappedItems
 
-KINDS = (("all", "All recordings"), ("runs", "Runs"), ("series", "Series of the dataset"))
+KINDS = (("all", "All"), ("runs", "Runs"), ("series", "Series"))
 ORDERS = (
-    ("kind", "Runs, then series"),
-    ("newest", "Newest first"),
-    ("oldest", "Oldest first"),
-    ("pair", "By pair and outcome"),
+    ("kind", "By kind"),
+    ("newest", "Newest"),
+    ("oldest", "Oldest"),
+    ("pair", "By pair"),
 )
 FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
 
@@ -82,7 +81,7 @@ class ReviewPage(QWidget):
         self.runs, self.trials = QuietList("Recorded runs"), QuietList("Trials of the run")
         self.story = QuietList("What happened")
         self.kind, self.order, self.filter = QComboBox(), QComboBox(), QLineEdit()
-        self.refresh = QPushButton("Refresh")
+        self.refresh = QToolButton()
         self.empty = label("", "muted", wrap=True)
         self.belief, self.legend = BeliefView(theme), BeliefLegend(theme)
         # At the least size of the window the strip below has two lines to a map.
@@ -128,13 +127,17 @@ class ReviewPage(QWidget):
             )
         self.kind.setAccessibleName("Kind of recording")
         self.order.setAccessibleName("Order of the recordings")
-        self.order.setToolTip("How the recordings are sorted")
+        self.kind.setToolTip("Show runs, series of the dataset, or all")
+        self.order.setToolTip("Runs before series; by time; or by pair and outcome")
         self.filter.setPlaceholderText("Filter: pot, fell, 2026-11")
         self.filter.setAccessibleName("Filter of the recordings")
         self.filter.setClearButtonEnabled(True)
         for button in self.filter.findChildren(QToolButton):
             button.setAccessibleName("Clear the filter")
             button.setToolTip("Clear the filter")
+        self.refresh.setText("Refresh")
+        self.refresh.setProperty("role", "plain")
+        self.refresh.setAccessibleName("Look for new recordings")
         self.refresh.setToolTip("Look for new recordings (Ctrl+R)")
         self.play.setText("Play")
         self.play.setToolTip("Play from the cursor, or pause (Space, while nothing moves)")
@@ -147,11 +150,15 @@ class ReviewPage(QWidget):
 
     def _arrange(self) -> None:
         runs = Panel("Recordings")
-        for widget in (self.kind, self.order, self.filter):
-            runs.column.addWidget(widget)
+        choices = QHBoxLayout()
+        for combo in (self.kind, self.order):
+            combo.setMinimumContentsLength(4)
+            choices.addWidget(combo, 1)
+        runs.column.addLayout(choices)
+        runs.column.addWidget(self.filter)
         runs.column.addWidget(self.runs, 1)
         runs.column.addWidget(self.empty)
-        runs.column.addWidget(self.refresh)
+        runs.header.addWidget(self.refresh)
         self.trials_panel = Panel("Trials", self.trials)
         left = _column((runs, 3), (self.trials_panel, 2), (self.score, 0))
         self.shown = QWidget()

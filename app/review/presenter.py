@@ -100,7 +100,7 @@ class ReviewPresenter:
     def sort(self) -> None:
         """Put the recordings in the chosen order; what is chosen stays chosen."""
         runs, items = self._page.runs, self._items
-        order, chosen = self._page.order.currentData(), runs.currentItem()
+        order, chosen = self._page.order.currentData(), self._chosen()
         texts = [item.text() for item in items]
         found = list(range(len(items)))
         if order == "pair":
@@ -113,7 +113,7 @@ class ReviewPresenter:
                 runs.takeItem(0)
             for at in found:
                 runs.addItem(items[at])
-            runs.setCurrentRow(-1 if chosen is None else runs.row(chosen))
+            runs.setCurrentRow(-1 if chosen < 0 else found.index(chosen))
             runs.blockSignals(False)
         self.filter()
 

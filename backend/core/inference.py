@@ -44,6 +44,8 @@ def _energy() -> FloatArray:
 
 _ENERGY = _energy()
 _ENERGY.flags.writeable = False
+_MISFIT = _ENERGY / np.diag(_ENERGY)[:, None]
+_MISFIT.flags.writeable = False
 
 
 def fill_field(displacement: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
@@ -80,4 +82,4 @@ def misfit(field: FloatArray) -> FloatArray:
     ``field``: (63, 2), complete; the result has the same shape and unit. It is the residual of
     leave-one-out filling, zero for affine fields.
     """
-    return np.asarray((_ENERGY @ field) / np.diag(_ENERGY)[:, None], dtype=np.float64)
+    return np.asarray(_MISFIT @ field, dtype=np.float64)

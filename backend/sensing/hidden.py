@@ -36,15 +36,17 @@ class HiddenMarkers:
     def fill(self, position_px: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
         """Return the places (63, 2): seen ones as given, hidden ones inferred."""
         displacement = position_px - self._rest
+        if seen.all():
+            self._known, self._seen = displacement, seen
+            return position_px
         smooth = self.carry(displacement, seen)
-        if not seen.all():
-            if (seen != self._seen).any():
-                self._remember(seen)
-            hidden = ~seen
-            size = np.linalg.norm(smooth[hidden], axis=1)
-            scale = np.minimum(1.0, size / np.maximum(self._size[hidden], 1e-3))
-            smooth[hidden] += scale[:, None] * self._deviation[hidden]
-        self._known, self._seen = smooth, seen.copy()
+        if (seen != self._seen).any():
+            self._remember(seen)
+        hidden = ~seen
+        size = np.linalg.norm(smooth[hidden], axis=1)
+        scale = np.minimum(1.0, size / np.maximum(self._size[hidden], 1e-3))
+        smooth[hidden] += scale[:, None] * self._deviation[hidden]
+        self._known, self._seen = smooth, seen
         return np.asarray(self._rest + smooth, dtype=np.float64)
 
     def forget(self, markers: NDArray[np.bool_]) -> None:

@@ -8,29 +8,33 @@ from numpy.typing import NDArray
 from backend.core.flow import MARKERS, FloatArray
 
 OWN_RANGE = np.array([[0.7, 0.5], [1.45, 1.45]])
-"""Lowest and highest ratio of darkness and area to the marker's own usual look.
-
-Real gels in grasp stay within 0.89 .. 1.17 and 0.73 .. 1.25; light flecks may cost small dots more
-of their area.
-"""
+"""Lowest and highest ratio of darkness in the middle and in all to the marker's own usual look."""
 COMMON_RANGE = np.array([[0.5, 0.5], [1.9, 1.9]])
 """Ratio to the look of the other markers, where a marker has no own yet or was long hidden."""
 MEMORY = 0.05
 
 
 class UsualLooks:
-    """Running mean of darkness and area of every marker."""
+    """Running mean of the darkness of every marker, in its middle and in all."""
 
     def __init__(self) -> None:
         self._usual = np.zeros((MARKERS, 2))
+
+    def recognise_all(self, looks: FloatArray) -> bool:
+        """Return whether all 63 look like themselves, and learn from that if they do."""
+        own = self._usual
+        if not ((looks >= own * OWN_RANGE[0]).all() and (looks <= own * OWN_RANGE[1]).all()):
+            return False
+        own += MEMORY * (looks - own)
+        return True
 
     def recognise(
         self, markers: NDArray[np.intp], looks: FloatArray, stale: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
         """Return (n,) whether ``markers`` look like themselves, and learn from those that do.
 
-        ``looks``: (n, 2) darkness and area of the dot given to each; ``stale``: (n,) not seen for
-        so long that the own look may have changed.
+        ``looks``: (n, 2) of the dot given to each; ``stale``: (n,) not seen for so long that the
+        own look may have changed.
         """
         if not len(markers):
             return np.zeros(0, dtype=bool)

@@ -1,11 +1,15 @@
 """Follows the 63 markers of one finger through its images.
 
-Every frame: find all dots, give each marker its own, centre it to a fraction of a pixel, and fill
-in what was not seen. Places come from detection alone, never from summed-up steps, so that no error
-outlives its cause. If the known places lead nowhere, order is taken anew from the grid's geometry.
+Every frame: centre each marker's dot to a fraction of a pixel from where it was last. Unless all 63
+are found so and look like themselves, find all dots of the image, give each marker its own, and
+fill in what was not seen. Places come from the image alone, never from summed-up steps, so that no
+error outlives its cause. If the known places lead nowhere, order is taken anew from the grid's
+geometry.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +40,8 @@ STRAY_PX = 5.0
 """A step that differs this much from its neighbours' steps is not believed."""
 SMOOTH_PX = 0.5
 """Frame-to-frame misfit (rms) up to which a field counts as smooth."""
-_LARGEST_SHIFT_PX = 4.0
+_LARGEST_SHIFT_PX = 5.0
+"""A centre further from where it was looked for belongs to something else."""
 _FEWEST_SEEN = 32
 _REORDER_EVERY = 5
 _NO_BLOB = -1
@@ -81,16 +86,31 @@ class MarkerTracker:
         if not _readable(frame.image):
             return self._blind(frame)
         self._detector.look(frame.image)
-        blobs = self._detector.blobs()
-        owner = self._own(blobs)
-        if owner is None:
-            return self._blind(frame)
-        seen, position = self._centre(blobs, owner, frame.t_s)
+        position, seen = self._follow(frame.t_s), np.ones(MARKERS, dtype=bool)
+        if position is None:
+            blobs = self._detector.blobs()
+            owner = self._own(blobs)
+            if owner is None:
+                return self._blind(frame)
+            seen, position = self._centre(blobs, owner, frame.t_s)
         rough_px = self._reject_strays(position, seen)
         self._settle(position, seen, frame.t_s)
-        share = float(seen.mean())
+        share = float(np.count_nonzero(seen)) / MARKERS
         quality = share * min(1.0, SMOOTH_PX / max(rough_px, SMOOTH_PX))
         return self._field(frame, quality)
+
+    def _follow(self, t_s: float) -> FloatArray | None:
+        """Return the places (63, 2) if each marker is still near its last one, else None."""
+        recent = t_s - self._last_seen_s[0] <= LOST_AFTER_S
+        if not (recent and self._was_seen.all() and self._detector.border_clear):
+            return None
+        centres = self._detector.refine(self._position)
+        place = centres.position_px
+        near = np.abs(place - self._position).max() < _LARGEST_SHIFT_PX
+        if not (near and self._looks.recognise_all(centres.looks)):
+            return None
+        self._restless = 0
+        return place
 
     def _own(self, blobs: Blobs) -> NDArray[np.intp] | None:
         """Return the blob of each marker (-1: none), or None while the grid is unknown."""
@@ -149,9 +169,8 @@ class MarkerTracker:
         self._looks = UsualLooks()
         found = np.flatnonzero(index >= 0)
         chosen = index[found]
-        centres = self._detector.refine(blobs.centre_px[chosen], blobs.area_px[chosen])
-        looks = np.column_stack([centres.mass, blobs.area_px[chosen]])
-        good = self._looks.recognise(found, looks, np.ones(len(found), dtype=bool))
+        centres = self._detector.refine(blobs.centre_px[chosen])
+        good = self._looks.recognise(found, centres.looks, np.ones(len(found), dtype=bool))
         place, seen = np.zeros((MARKERS, 2)), np.zeros(MARKERS, dtype=bool)
         place[found], seen[found] = centres.position_px, good
         rest = self._reference.position_px if self._reference else _straight_grid()
@@ -168,11 +187,9 @@ class MarkerTracker:
         seen = owner >= 0
         position = self._position.copy()
         start = blobs.centre_px[owner[seen]]
-        area = blobs.area_px[owner[seen]]
-        centres = self._detector.refine(start, area)
-        looks = np.column_stack([centres.mass, area])
+        centres = self._detector.refine(start)
         stale = t_s - self._last_seen_s[seen] > LOST_AFTER_S
-        good = self._looks.recognise(np.flatnonzero(seen), looks, stale)
+        good = self._looks.recognise(np.flatnonzero(seen), centres.looks, stale)
         good &= np.abs(centres.position_px - start).max(axis=1, initial=0.0) < _LARGEST_SHIFT_PX
         position[seen] = np.where(good[:, None], centres.position_px, position[seen])
         seen[seen] = good
@@ -182,32 +199,31 @@ class MarkerTracker:
         """Un-see markers that jumped away from their neighbours; return the field's roughness."""
         if not self._was_seen.any():
             return 0.0
-        bend = np.zeros((MARKERS, 2))
+        square = np.zeros(MARKERS)
         for _ in range(4):
             both = seen & self._was_seen
-            step = self._hidden.carry(position - self._position, both)
-            bend = misfit(step)
-            size = np.hypot(bend[:, 0], bend[:, 1]) * both
-            worst = int(size.argmax())
-            if size[worst] <= STRAY_PX:
+            bend = misfit(self._hidden.carry(position - self._position, both))
+            square = np.einsum("ij,ij->i", bend, bend)
+            worst = int((square * both).argmax())
+            if not both[worst] or square[worst] <= STRAY_PX**2:
                 break
             seen[worst] = False
-        return float(np.sqrt((bend**2).sum(axis=1).mean()))
+        return math.sqrt(float(square.mean()))
 
     def _settle(self, position: FloatArray, seen: NDArray[np.bool_], t_s: float) -> None:
         """Fill in the unseen and remember the frame."""
         self._position = self._hidden.fill(position, seen)
-        wrong = out_of_order(self._position) & ~seen
-        if wrong.any():
-            self._hidden.forget(wrong)
+        if not seen.all():
+            self._hidden.forget(out_of_order(self._position) & ~seen)
         self._last_seen_s[seen] = t_s
         self._was_seen = seen
 
     def _field(self, frame: TactileFrame, quality: float) -> MarkerField:
-        gone = frame.t_s - self._last_seen_s > LOST_AFTER_S
-        state = np.where(
-            self._was_seen, MarkerState.SEEN, np.where(gone, MarkerState.LOST, MarkerState.INFERRED)
-        ).astype(np.uint8)
+        state = np.zeros(MARKERS, dtype=np.uint8)
+        if not self._was_seen.all():
+            gone = frame.t_s - self._last_seen_s > LOST_AFTER_S
+            state[~self._was_seen] = MarkerState.INFERRED
+            state[~self._was_seen & gone] = MarkerState.LOST
         displacement, residual = np.zeros((MARKERS, 2)), 0.0
         if self._reference is not None and self._locked:
             rest = self._reference.position_px

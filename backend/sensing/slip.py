@@ -6,9 +6,12 @@ rigid motion does not explain is shear of the gel.
 
 from __future__ import annotations
 
+import cmath
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from backend.core.flow import FloatArray, MarkerField, MarkerState
 
@@ -29,16 +32,15 @@ def fit_rigid(rest_px: FloatArray, displacement_px: FloatArray) -> RigidMotion:
     """
     if not len(rest_px):
         return RigidMotion(np.zeros(2), 0.0, 0.0)
-    shift = displacement_px.mean(axis=0)
-    before = rest_px - rest_px.mean(axis=0)
-    after = before + displacement_px - shift
-    sine = float((before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]).sum())
-    cosine = float((before * after).sum())
-    turn = float(np.arctan2(sine, cosine))
-    c, s = np.cos(turn), np.sin(turn)
-    rest_turned = before @ np.array([[c, s], [-s, c]])
-    residual = float(np.sqrt(((after - rest_turned) ** 2).sum(axis=1).mean()))
-    return RigidMotion(shift, turn, residual)
+    # Complex numbers: a turn is one product.
+    before, moved = _complex(rest_px), _complex(displacement_px)
+    shift = moved.mean()
+    before = before - before.mean()
+    after = before + (moved - shift)
+    turn = cmath.phase(complex(np.vdot(before, after)))
+    left = after - before * cmath.rect(1.0, turn)
+    residual = math.sqrt(float(np.vdot(left, left).real) / len(left))
+    return RigidMotion(np.array([shift.real, shift.imag]), turn, residual)
 
 
 def slip_mm(before: MarkerField, after: MarkerField, mm_per_px: float) -> float:
@@ -56,3 +58,8 @@ def slip_mm(before: MarkerField, after: MarkerField, mm_per_px: float) -> float:
     arm = rest - rest.mean(axis=0)
     swirl = motion.turn_rad * np.stack([-arm[:, 1], arm[:, 0]], axis=1)
     return mm_per_px * float(np.linalg.norm(motion.shift_px + swirl, axis=1).max())
+
+
+def _complex(points_px: FloatArray) -> NDArray[np.complex128]:
+    """Return (n,) u + iv of (n, 2) points."""
+    return np.ascontiguousarray(points_px).view(np.complex128)[:, 0]

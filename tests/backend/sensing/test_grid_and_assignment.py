@@ -17,7 +17,7 @@ def lattice(rows: int, cols: int, pitch: float = 32.0) -> np.ndarray:
 
 def blobs(dots: np.ndarray, whole: np.ndarray | None = None) -> Blobs:
     whole = np.ones(len(dots), dtype=bool) if whole is None else whole
-    return Blobs(dots, np.full(len(dots), 180.0), whole)
+    return Blobs(dots, whole)
 
 
 @settings(deadline=None, max_examples=25)

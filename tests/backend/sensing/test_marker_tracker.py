@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from backend.core.flow import MarkerField, MarkerState, TactileFrame
+from backend.sensing.detector import Detector
 from backend.sensing.markers import MarkerTracker
 from backend.sensing.reference import take_reference
 from tests.backend.sensing.known_truth import (
@@ -98,14 +99,15 @@ def test_displacement_counts_from_the_reference_and_not_before(
     still = [tracker.track(TactileFrame("right", k, k / 25, image)) for k in range(10)]
     assert (still[-1].displacement_px == 0).all()
     assert tracker.reference is None
-    tracker.set_reference(take_reference(still))
+    reference = take_reference(still)
+    tracker.set_reference(reference)
     moved = tracker.track(TactileFrame("right", 10, 0.4, warp(image, bump_field, 6.0)))
     truth = true_places(dots, bump_field, 6.0) - dots
     assert moved.finger == "right"
     assert np.sqrt(((moved.displacement_px - truth) ** 2).sum(axis=1).mean()) < 0.05
     assert moved.residual_px > 0.5
     np.testing.assert_allclose(
-        moved.displacement_px, moved.position_px - still[0].position_px, atol=1e-9
+        moved.displacement_px, moved.position_px - reference.position_px, atol=1e-9
     )
 
 
@@ -123,3 +125,26 @@ def test_the_image_is_left_as_it_was(rest: tuple[np.ndarray, np.ndarray]) -> Non
     image = rest[0].copy()
     MarkerTracker("left").track(frame(image, 0))
     np.testing.assert_array_equal(image, rest_dots()[0])
+
+
+def test_a_centre_does_not_depend_on_where_it_was_looked_for(
+    rest: tuple[np.ndarray, np.ndarray],
+) -> None:
+    image, dots = rest
+    detector = Detector()
+    detector.look(image)
+    centre = detector.refine(dots).position_px
+    for shift in ([2.0, 0.0], [-1.5, -1.5], [0.0, 4.0]):
+        away = np.linalg.norm(detector.refine(dots + np.array(shift)).position_px - centre, axis=1)
+        assert np.sqrt((away**2).mean()) < 0.01
+        assert away.max() < 0.05
+
+
+def test_following_from_frame_to_frame_finds_what_a_look_at_the_whole_image_finds() -> None:
+    noise = np.random.default_rng(3)
+    following = MarkerTracker("left")
+    for shot in shots(Case(14.0, "none"), noise, line=np.linspace(0.0, 14.0, 8)):
+        followed = following.track(frame(shot.image, shot.k)).position_px
+        anew = MarkerTracker("left").track(frame(shot.image, shot.k))
+        assert (anew.state == MarkerState.SEEN).all()
+        assert np.linalg.norm(followed - anew.position_px, axis=1).max() < 0.05

@@ -123,6 +123,12 @@ class ScorePanel(Panel):
         self._marks.show_outcomes(score.outcomes, score.trials)
         self._last.setText(score.last or "Every trial ends with one mark.")
 
+    @property
+    def words(self) -> str:
+        """What is shown, line by line."""
+        shown = (self._count, self._rate if not self._rate.isHidden() else None, self._last)
+        return "\n".join(one.text() for one in shown if one is not None and one.text())
+
     def show_facts(self, headline: str, text: str) -> None:
         """Show what a recording without trials is: one line large, the others small."""
         self._count.setText(headline)

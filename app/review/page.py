@@ -51,6 +51,7 @@ class ReviewIntents:
     sort: Callable[[], None]
     picture: Callable[[], None]
     table: Callable[[], None]
+    report: Callable[[], None]
     viewer: Callable[[], None]
 
 
@@ -203,6 +204,7 @@ class ReviewPage(QWidget):
         for text, tip, act in (
             ("Picture", "Export what is shown as PNG and SVG (Ctrl+E)", self._intents.picture),
             ("Table", "Export the probes as CSV (Ctrl+Shift+E)", self._intents.table),
+            ("Page", "Export picture and probes as one HTML page", self._intents.report),
             ("Open file", "Open the file in the viewer of this computer (Ctrl+O)",
              self._intents.viewer),
         ):  # fmt: skip

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from PySide6.QtCore import QPoint, QRect, QSize, Qt
-from PySide6.QtGui import QFontMetrics, QPainter, QPixmap
+from PySide6.QtCore import QBuffer, QIODevice, QPoint, QRect, QSize, Qt
+from PySide6.QtGui import QFontMetrics, QPaintDevice, QPainter, QPixmap
 from PySide6.QtSvg import QSvgGenerator
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QWidget
 
@@ -27,23 +27,29 @@ def export_picture(
     """
     folder.mkdir(parents=True, exist_ok=True)
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
-    size = QSize(view.width(), view.height() + _head_px(theme))
-    ratio = view.devicePixelRatioF()
-    picture = QPixmap(size * ratio)
-    picture.setDevicePixelRatio(ratio)
+    png.write_bytes(picture_of(view, theme, caption))
+    size = _size(view, theme)
     generator = QSvgGenerator()
     generator.setFileName(str(svg))
     generator.setSize(size)
     generator.setViewBox(QRect(QPoint(0, 0), size))
     generator.setTitle(caption)
-    with _without_buttons(view):
-        for device in (picture, generator):
-            painter = QPainter(device)
-            _draw(painter, view, theme, size, caption)
-            painter.end()
-    if not picture.save(str(png)) or not svg.is_file():
-        raise OSError(None, "the picture cannot be written", str(png))
+    _draw(generator, view, theme, caption)
+    if not svg.is_file():
+        raise OSError(None, "the picture cannot be written", str(svg))
     return png, svg
+
+
+def picture_of(view: QWidget, theme: Theme, caption: str) -> bytes:
+    """Return ``view`` as it is shown, under ``caption``, as the bytes of a PNG file."""
+    ratio = view.devicePixelRatioF()
+    picture = QPixmap(_size(view, theme) * ratio)
+    picture.setDevicePixelRatio(ratio)
+    _draw(picture, view, theme, caption)
+    content = QBuffer()
+    content.open(QIODevice.OpenModeFlag.WriteOnly)
+    picture.save(content, "PNG")
+    return bytes(content.data().data())
 
 
 def trial_caption(run: str, trial: TimedTrial) -> str:
@@ -58,15 +64,22 @@ def episode_caption(whole: str, entry: EpisodeEntry) -> str:
     return f"{whole}: {entry.piece} on {entry.bottom}, episode {entry.uuid}"
 
 
-def _draw(painter: QPainter, view: QWidget, theme: Theme, size: QSize, caption: str) -> None:
-    head_px = _head_px(theme)
+def _draw(device: QPaintDevice, view: QWidget, theme: Theme, caption: str) -> None:
+    size, head_px = _size(view, theme), _head_px(theme)
+    painter = QPainter(device)
     painter.fillRect(QRect(QPoint(0, 0), size), theme.tokens.colour("bg"))
     painter.setPen(theme.tokens.colour("text"))
     painter.setFont(ui_font(theme.scale))
     line = QRect(MARGIN_PX, 0, size.width() - 2 * MARGIN_PX, head_px)
     fitting = painter.fontMetrics().elidedText(caption, Qt.TextElideMode.ElideMiddle, line.width())
     painter.drawText(line, Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignLeft, fitting)
-    view.render(painter, QPoint(0, head_px))
+    with _without_buttons(view):
+        view.render(painter, QPoint(0, head_px))
+    painter.end()
+
+
+def _size(view: QWidget, theme: Theme) -> QSize:
+    return QSize(view.width(), view.height() + _head_px(theme))
 
 
 def _head_px(theme: Theme) -> int:

@@ -10,8 +10,9 @@ from app.label.post import Post
 from app.review.exports import export_table, open_outside, stamped
 from app.review.library import Library
 from app.review.page import ReviewIntents, ReviewPage
-from app.review.picture import export_picture
+from app.review.picture import export_picture, picture_of
 from app.review.presenter import ReviewPresenter
+from app.review.report import export_report, report_of
 from app.workspace import Command, Desk, Workspace
 from backend.runs.store import dataset_folder
 from widgets.fault_cards import CardText
@@ -46,6 +47,7 @@ class ReviewWorkspace(Workspace):
             Command("filter", "Filter the recordings", "/", self.page.filter.setFocus),
             Command("picture", "Export what is shown as PNG and SVG", "Ctrl+E", self._picture),
             Command("table", "Export the probes as CSV", "Ctrl+Shift+E", self._table),
+            Command("report", "Export picture and probes as one HTML page", "", self._report),
             Command("viewer", "Open the file outside", "Ctrl+O", self._open_outside),
         )  # fmt: skip
 
@@ -77,6 +79,7 @@ class ReviewWorkspace(Workspace):
             sort=lambda: self.presenter.sort(),
             picture=self._picture,
             table=self._table,
+            report=self._report,
             viewer=self._open_outside,
         )
 
@@ -104,6 +107,20 @@ class ReviewWorkspace(Workspace):
 
         if not self.presenter.make_table(write):
             self._desk.say("Nothing is chosen that could be written as a table.")
+
+    def _report(self) -> None:
+        if self.presenter.file is None:
+            self._desk.say("Nothing is chosen that could be reported.")
+            return
+        # The picture is taken now: by the time that the table is there something else may be shown.
+        name, caption, facts = stamped("review"), self._caption(), self.page.score.words
+        picture = picture_of(self.page.shown, self._desk.theme, caption)
+
+        def write(table: str) -> None:
+            text = report_of(caption, facts, picture, table)
+            self._export(lambda: export_report(text, self.exports, name))
+
+        self.presenter.make_table(write)
 
     def _open_outside(self) -> None:
         if self.presenter.file is not None:

@@ -1,9 +1,12 @@
 """One line of time in Review: every view shows the newest sample that is not after the cursor."""
 
+import base64
 import csv
 import html
 import io
+import re
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -292,6 +295,28 @@ def test_pictures_and_tables_are_written(told, tmp_path):
     assert [row["verdict"] for row in rows] == ["unstable", "unstable", "stable"]
     assert {row["outcome"] for row in rows} == {"placed"}
     assert [row["episode"] for row in rows] == ["e1", "e2", "e3"]
+
+
+def test_a_page_holds_what_is_shown(told, tmp_path):
+    review, *_ = told
+    review.press(KEY.Key_E, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
+    review.workspace._report()
+    (page,) = (tmp_path / "exports").glob("*.html")
+    (table,) = (tmp_path / "exports").glob("*.csv")
+    text = page.read_text()
+    root = ElementTree.fromstring(
+        re.sub(r"<(meta|img|br)([^>]*)>", r"<\1\2/>", text.split("\n", 1)[1])
+    )
+    rows = [[cell.text or "" for cell in row] for row in root.iter("tr")]
+    assert rows == list(csv.reader(io.StringIO(table.read_text())))
+    # The shown margin and agreement are those of the row.
+    last = dict(zip(rows[0], rows[-1], strict=True))
+    assert f"{float(last['margin_mm']):+.1f} mm" == review.page.decision._margin.text()
+    assert f"IoU {float(last['iou']):.2f}" in review.page.estimate.text()
+    picture = base64.b64decode(root.find(".//img").get("src").partition(",")[2])
+    assert QImage.fromData(picture).width() == review.page.shown.width()
+    assert root.find(".//h1").text.startswith("Run 2026")
+    assert "1 of 1 placed" in "".join(root.find(".//p").itertext())
 
 
 def test_a_viewer_that_is_not_there_is_said(told, monkeypatch):

@@ -12,7 +12,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import wilcoxon
 
 from backend.config.method import TICK_S
 from backend.core.flow import FINGERS, MARKERS, TACTILE_CHANNELS, EpisodeQuality, FloatArray
@@ -90,7 +89,7 @@ def asymmetry(rows: Sequence[Examined]) -> list[Finding]:
         values = offsets[:, axis]
         if not np.any(values):
             continue
-        p = float(wilcoxon(values).pvalue)
+        p = _uneven_p(values)
         if p < RARE:
             median = float(np.median(values))
             text = (
@@ -99,6 +98,14 @@ def asymmetry(rows: Sequence[Examined]) -> list[Finding]:
             )
             found.append(Finding("asymmetry", (), text))
     return found
+
+
+def _uneven_p(values: FloatArray) -> float:
+    """Return how likely values even about zero would be as uneven as these (signed ranks)."""
+    # Here, since it takes longer to load than all the rest of a program that needs it rarely.
+    from scipy.stats import wilcoxon
+
+    return float(wilcoxon(values).pvalue)
 
 
 def twins(rows: Sequence[Examined]) -> list[Finding]:

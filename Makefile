@@ -30,7 +30,7 @@ demo: setup ## stack three pieces without a screen and leave a report
 	@$(BIN)/touchdown demo
 
 test: setup ## all tests: offscreen, no hardware, no network
-	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/pytest $(TESTS) -q -n $(WORKERS) --dist loadfile
+	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/pytest $(TESTS) -q -n $(WORKERS) --dist worksteal
 
 check: lint types contracts test ## what continuous integration runs
 

@@ -8,6 +8,7 @@ os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 os.environ["QT_SCALE_FACTOR"] = "1"
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import ctypes
 import gc
 import itertools
 import socket
@@ -18,14 +19,26 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 import backend.learning.child
 from tests.leaks import leaks_since, snapshot
 from tests.warm import WarmStart
 
+settings.register_profile(
+    "suite", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("suite")
 LOOPBACK = ("127.", "::1", "localhost")
 _numbers = itertools.count()
 _warm = WarmStart()
+_give_back: Any = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
+"""Hands freed memory back to the system where the C library would keep it (glibc)."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the journeys: the longest test of all must not be the last one that runs."""
+    items.sort(key=lambda item: "journeys" not in item.path.parts)
 
 
 class NetworkForbiddenError(RuntimeError):
@@ -58,6 +71,8 @@ def freed() -> Iterator[None]:
     """Free what refers to itself: the pictures of a few sessions fill a gigabyte."""
     yield
     gc.collect()
+    if _give_back is not None:
+        _give_back(0)
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import psutil
 
-GRACE_S = 2.0
+GRACE_S = 30.0
 """A thread or child that is just ending gets this long."""
 
 HELPERS = ("resource_tracker", "forkserver")

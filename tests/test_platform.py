@@ -82,7 +82,7 @@ def test_a_curve_is_drawn_and_the_view_stays(qtbot):
     qtbot.addWidget(plot)
     plot.resize(400, 300)
     plot.plot(range(100), [(i * 7) % 23 for i in range(100)], pen=pg.mkPen("#ff00ff", width=3))
-    with qtbot.waitExposed(plot):
+    with qtbot.waitExposed(plot, timeout=60_000):
         plot.show()
     qtbot.wait(50)  # the axes find their width, which moves the range once
     first = plot.viewRange()

@@ -28,7 +28,7 @@ def main(qapp, qtbot, tmp_path: Path):
 def live(main, bench, qtbot):
     """The window with the stand-in bench attached and shown."""
     main.attach(bench)
-    with qtbot.waitActive(main.window, timeout=3000):
+    with qtbot.waitActive(main.window, timeout=60_000):
         main.window.show()
         main.window.activateWindow()
     bench.turn(0.2)

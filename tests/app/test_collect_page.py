@@ -72,7 +72,7 @@ class Page:
         QTest.keyClick(self.main.window.windowHandle(), key, modifiers)
 
     def settle(self):
-        self._qtbot.waitUntil(lambda: not self.workspace.reader.busy, timeout=20_000)
+        self._qtbot.waitUntil(lambda: not self.workspace.reader.busy, timeout=60_000)
         settle(self.main)
 
     def tell(self, *facts):
@@ -104,7 +104,7 @@ def unnamed(qapp, qtbot, collected, isolated_settings, tmp_path):
     bench = StandInBench()
     main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
     main.attach(bench)
-    with qtbot.waitActive(main.window, timeout=5000):
+    with qtbot.waitActive(main.window, timeout=60_000):
         main.window.show()
         main.window.activateWindow()
     made = Page(main, bench, qtbot)
@@ -125,7 +125,7 @@ def page(unnamed, qtbot):
     QTest.keyClick(made.view.target.person, KEY.Key_Return)
     made.view.setFocus()
     workspace = made.workspace.label
-    qtbot.waitUntil(lambda: workspace.presenter is not None, timeout=20_000)
+    qtbot.waitUntil(lambda: workspace.presenter is not None, timeout=60_000)
     made.settle()
     return made
 
@@ -155,7 +155,7 @@ def test_the_first_range_is_any_displacement(page):
 
 def test_the_dataset_is_shown_before_anybody_is_named(unnamed, qtbot):
     page = unnamed
-    qtbot.waitUntil(lambda: page.presenter.dataset is not None, timeout=20_000)
+    qtbot.waitUntil(lambda: page.presenter.dataset is not None, timeout=60_000)
     page.settle()
     assert page.presenter.person == ""
     assert len(page.uuids) == PROBES

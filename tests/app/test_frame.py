@@ -103,14 +103,14 @@ def test_scale_and_theme_switch_live(live, qtbot):
     live.actions.action("larger").trigger()
     # STOP must not wait behind one change of the whole window for each press.
     assert changes == []
-    qtbot.waitUntil(lambda: bool(changes), timeout=3000)
+    qtbot.waitUntil(lambda: bool(changes), timeout=60_000)
     assert changes == [pytest.approx(1.2)]
     assert live.bar.pill.sizeHint().height() > before
     names = []
     for _ in range(3):
         live.actions.action("theme").trigger()
         count = len(changes)
-        qtbot.waitUntil(lambda: len(changes) > count, timeout=3000)  # noqa: B023 - waited for here
+        qtbot.waitUntil(lambda: len(changes) > count, timeout=60_000)  # noqa: B023 - waited for here
         names.append(live.theme.tokens.name)
     assert sorted(names) == sorted(THEMES)
     live.look.show("dark", 1.0)
@@ -273,7 +273,7 @@ def test_questions_do_not_block(live, qtbot):
     live.cards.ask(Question("Really?", (("Yes", lambda: answered.append(1)),)))
     button = next(b for b in live.cards.findChildren(QAbstractButton) if b.text() == "Yes")
     qtbot.mouseClick(button, Qt.MouseButton.LeftButton)
-    qtbot.waitUntil(lambda: answered == [1], timeout=1000)
+    qtbot.waitUntil(lambda: answered == [1], timeout=60_000)
     assert live.cards._question is None
 
 

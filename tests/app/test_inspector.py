@@ -55,7 +55,7 @@ def test_reconnect_runs_beside_the_window_and_says_how_it_went(live, bench, qtbo
     device.connect = lambda timeout_s, cancel: None
     live.inspect.open("gripper")
     live.inspect.sheet.reconnect.click()
-    qtbot.waitUntil(lambda: not live.inspect._connecting, timeout=3000)
+    qtbot.waitUntil(lambda: not live.inspect._connecting, timeout=60_000)
     settle(live)
     assert "gripper is connected again" in live.window._message.text()
 
@@ -70,7 +70,7 @@ def test_another_serial_number_is_a_card(live, bench, qtbot):
     device.connect = swapped
     live.inspect.open("tactile_left")
     live.inspect.sheet.reconnect.click()
-    qtbot.waitUntil(lambda: not live.inspect._connecting, timeout=3000)
+    qtbot.waitUntil(lambda: not live.inspect._connecting, timeout=60_000)
     settle(live)
     assert "0002 answers instead of 0001" in live.cards.card("OTHER-DEVICE").text.what
 

@@ -131,7 +131,7 @@ def test_the_palette_works_with_keys_alone(live, qtbot):
     QTest.keyClick(palette.field, Qt.Key.Key_Return)
     assert not palette.isVisible()
     assert live.look.choice != before
-    qtbot.waitUntil(lambda: live.theme.tokens.name != before, timeout=10_000)
+    qtbot.waitUntil(lambda: live.theme.tokens.name != before, timeout=60_000)
 
 
 def test_a_command_of_another_page_brings_that_page(live):

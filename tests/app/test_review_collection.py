@@ -114,20 +114,20 @@ def test_the_probes_of_a_collection_are_shown(main, qtbot, tmp_path, filled):
     journal.close()
     main.go("review")
     workspace = main.workspaces["review"]
-    qtbot.waitUntil(lambda: not workspace.reader.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not workspace.reader.busy, timeout=60_000)
     page = workspace.page
     page.runs.setCurrentRow(0)
-    qtbot.waitUntil(lambda: not workspace.reader.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not workspace.reader.busy, timeout=60_000)
     assert page.trials_panel.accessibleName() == "Probes"
     assert page.trials.count() == 3
     assert workspace.presenter.file == filled.path(uuids[2])
     assert page.story.item(page.story.count() - 1).text().startswith("Run cancelled")
     page.trials.setCurrentRow(0)
-    qtbot.waitUntil(lambda: not workspace.reader.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not workspace.reader.busy, timeout=60_000)
     assert workspace.presenter.file == filled.path(uuids[0])
     assert "frame" in page.film.notes["left"].text()
     workspace._table()
-    qtbot.waitUntil(lambda: not workspace.reader.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not workspace.reader.busy, timeout=60_000)
     (table,) = (tmp_path / "exports").glob("*.csv")
     rows = list(csv.DictReader(io.StringIO(table.read_text())))
     assert [(row["trial"], row["episode"]) for row in rows] == [

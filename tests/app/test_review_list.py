@@ -69,7 +69,7 @@ def test_the_list_fills_in_newest_first_and_survives_damage(main, qtbot, tmp_pat
     rows = main.workspaces["review"].page.runs
     assert [rows.item(i).text() for i in range(2)] == [TIME, TIME]
     qtbot.waitUntil(
-        lambda: not main.workspaces["review"].presenter._describing.isActive(), timeout=3000
+        lambda: not main.workspaces["review"].presenter._describing.isActive(), timeout=60_000
     )
     assert rows.item(0).text() == f"{TIME}\nbarrel on short: fell"
     assert rows.item(1).text() == f"{TIME}\ncannot be read"
@@ -82,7 +82,7 @@ def test_recordings_are_sorted_and_the_chosen_one_stays(main, qtbot, tmp_path):
                piece=piece)  # fmt: skip
     main.go("review")
     page, presenter = main.workspaces["review"].page, main.workspaces["review"].presenter
-    qtbot.waitUntil(lambda: not presenter._describing.isActive(), timeout=3000)
+    qtbot.waitUntil(lambda: not presenter._describing.isActive(), timeout=60_000)
 
     def pieces():
         items = [page.runs.item(row) for row in range(page.runs.count())]
@@ -109,7 +109,7 @@ def test_only_the_newest_are_described_until_one_is_opened(main, qtbot, tmp_path
         record(tmp_path / "runs" / f"20261121-041511-{number}", [Outcome.PLACED])
     main.go("review")
     qtbot.waitUntil(
-        lambda: not main.workspaces["review"].presenter._describing.isActive(), timeout=3000
+        lambda: not main.workspaces["review"].presenter._describing.isActive(), timeout=60_000
     )
     rows = main.workspaces["review"].page.runs
     assert rows.item(0).text() == f"{TIME}\npot on short: placed"
@@ -129,7 +129,7 @@ def test_a_run_that_went_on_is_described_again(main, qtbot, tmp_path):
             (run / NAME).write_bytes(content)
         main.go("review")
         qtbot.waitUntil(
-            lambda: not main.workspaces["review"].presenter._describing.isActive(), timeout=3000
+            lambda: not main.workspaces["review"].presenter._describing.isActive(), timeout=60_000
         )
         assert rows.item(0).text() == f"{TIME}\npot on short: {text}"
 

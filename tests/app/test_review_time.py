@@ -83,7 +83,7 @@ class Review:
 
     def settle(self):
         QApplication.processEvents()
-        self._qtbot.waitUntil(lambda: not self.workspace.reader.busy, timeout=20_000)
+        self._qtbot.waitUntil(lambda: not self.workspace.reader.busy, timeout=60_000)
 
     def press(self, key, modifiers=Qt.KeyboardModifier.NoModifier):
         QTest.keyClick(self.main.window.windowHandle(), key, modifiers)
@@ -102,7 +102,7 @@ def start(qapp, qtbot, tmp_path):
     def begin():
         main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
         running.append(main)
-        with qtbot.waitActive(main.window, timeout=5000):
+        with qtbot.waitActive(main.window, timeout=60_000):
             main.window.show()
             main.window.activateWindow()
         review = Review(main, qtbot)
@@ -187,7 +187,7 @@ def test_keys_step_and_jump_and_play(told, qtbot):
     review.press(KEY.Key_Space)
     assert review.page.film.playing
     assert review.page.play.text() == "Pause"
-    qtbot.waitUntil(lambda: review.replay.cursor_s > before, timeout=5000)
+    qtbot.waitUntil(lambda: review.replay.cursor_s > before, timeout=60_000)
     review.press(KEY.Key_Space)
     assert not review.page.film.playing
     assert review.page.play.text() == "Play"
@@ -221,7 +221,7 @@ def test_the_list_is_filtered_by_words_and_kind(start, tmp_path):
         bench.tell_start(piece=piece)
         journal.close()
     review = start()
-    review._qtbot.waitUntil(lambda: not review.presenter._describing.isActive(), timeout=3000)
+    review._qtbot.waitUntil(lambda: not review.presenter._describing.isActive(), timeout=60_000)
 
     def seen():
         rows = review.page.runs

@@ -314,7 +314,7 @@ def test_an_unexpected_failure_also_ends_the_connecting(main, qtbot, monkeypatch
         raise KeyError("nobody expected this")
 
     main.connect_bench(fail)
-    qtbot.waitUntil(lambda: bool(main._arrival._arrived), timeout=3000)
+    qtbot.waitUntil(lambda: bool(main._arrival._arrived), timeout=60_000)
     settle(main)
     assert main.bar.pill.state.word == "NO DEVICES"
 
@@ -324,7 +324,7 @@ def test_a_bench_that_cannot_be_built_is_a_card(main, qtbot):
         raise OSError("no such model")
 
     main.connect_bench(fail)
-    qtbot.waitUntil(lambda: bool(main._arrival._arrived), timeout=3000)
+    qtbot.waitUntil(lambda: bool(main._arrival._arrived), timeout=60_000)
     settle(main)
     assert main.cards.codes == ("CONNECT",)
     assert "no such model" in main.cards.card("CONNECT").text.what

@@ -186,7 +186,7 @@ def test_stop_needs_reset_before_the_next_start(live, bench, qtbot):
 
 def test_stop_before_a_bench_is_there_is_harmless(main, qtbot):
     main.window.show()
-    qtbot.waitExposed(main.window)
+    qtbot.waitExposed(main.window, timeout=60_000)
     QTest.keyClick(main.window.windowHandle(), Qt.Key.Key_F12)
     assert main.cards.codes == ()
 

@@ -95,7 +95,7 @@ def desk(qapp, qtbot, tmp_path, packs) -> Iterator[Desk]:
     for file in packs.glob("*.mcap"):
         (data / file.name).hardlink_to(file)
     main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
-    with qtbot.waitActive(main.window, timeout=5000):
+    with qtbot.waitActive(main.window, timeout=60_000):
         main.window.show()
         main.window.activateWindow()
     made = Desk(main, qtbot, data)
@@ -113,7 +113,7 @@ def test_without_data_the_page_says_how_to_get_some(qapp, qtbot, tmp_path):
     main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
     main.go("train")
     page = main.workspaces["train"].page
-    qtbot.waitUntil(lambda: bool(page.leaks.text()), timeout=20_000)
+    qtbot.waitUntil(lambda: bool(page.leaks.text()), timeout=60_000)
     assert "Collect probes (Ctrl+2)" in page.leaks.text()
     assert not page.form.start.isEnabled()
     assert main.cards.codes == ()

@@ -27,7 +27,7 @@ NONE = Qt.KeyboardModifier.NoModifier
 CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 ALT = Qt.KeyboardModifier.AltModifier
 TURN_MS = 3
-PATIENCE_S = 40.0
+PATIENCE_S = 240.0
 QUEUES = {name: row for row, (name, _) in enumerate(LISTED)}
 """Rows of the list that Ctrl+J opens."""
 WAYS = 7

@@ -42,7 +42,7 @@ def desk(qapp, qtbot, tmp_path, isolated_settings):
     session.prepare(SceneChoice())
     main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
     main.attach(Stepped(session))
-    with qtbot.waitActive(main.window, timeout=5000):
+    with qtbot.waitActive(main.window, timeout=60_000):
         main.window.show()
         main.window.activateWindow()
     press(main, KEY.Key_2, Qt.KeyboardModifier.ControlModifier)
@@ -52,7 +52,7 @@ def desk(qapp, qtbot, tmp_path, isolated_settings):
     QTest.keyClicks(person, "Ann")
     QTest.keyClick(person, KEY.Key_Return)
     collect.collect_page.setFocus()
-    qtbot.waitUntil(lambda: collect.presenter.dataset is not None, timeout=20_000)
+    qtbot.waitUntil(lambda: collect.presenter.dataset is not None, timeout=60_000)
     yield main, session, collect
     main.close()
     main.window.deleteLater()
@@ -74,7 +74,7 @@ def turn_until(desk, qtbot, done):
             main.pump.tick()
             QApplication.processEvents()
             if done():
-                qtbot.waitUntil(lambda: not collect.reader.busy, timeout=20_000)
+                qtbot.waitUntil(lambda: not collect.reader.busy, timeout=60_000)
                 for _ in range(12):
                     main.pump.tick()
                 return

@@ -67,7 +67,7 @@ class Day:
 @pytest.fixture
 def day(qapp, qtbot, tmp_path):
     main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
-    with qtbot.waitActive(main.window, timeout=5000):
+    with qtbot.waitActive(main.window, timeout=60_000):
         main.window.show()
         main.window.activateWindow()
     yield Day(main, qtbot)

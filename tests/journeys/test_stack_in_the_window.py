@@ -69,7 +69,7 @@ def desk(qapp, qtbot, tmp_path, monkeypatch):
     main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", runs)
     main.attach(link)
     main.window.show()
-    qtbot.waitExposed(main.window)
+    qtbot.waitExposed(main.window, timeout=60_000)
     for _ in range(4):
         main.pump.tick()
     yield main, link

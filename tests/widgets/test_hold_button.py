@@ -51,7 +51,7 @@ def desk(qtbot):
 
 
 def in_front(qtbot, window):
-    with qtbot.waitActive(window, timeout=3000):
+    with qtbot.waitActive(window, timeout=60_000):
         window.show()
         window.activateWindow()
 
@@ -208,7 +208,7 @@ def test_only_the_source_that_began_it_lets_it_go(desk, touch):
 
 def test_it_is_renewed_while_held(desk, touch, qtbot):
     begin(desk, "mouse", touch)
-    qtbot.waitUntil(lambda: len(desk.renewed) >= 4, timeout=3000)
+    qtbot.waitUntil(lambda: len(desk.renewed) >= 4, timeout=60_000)
     assert set(desk.renewed) == {"+x"}
 
 

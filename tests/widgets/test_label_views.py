@@ -206,7 +206,7 @@ class TestFilm:
 
     def test_playing_runs_to_the_end_and_stops(self, film, qtbot):
         film.play_or_pause()
-        qtbot.waitUntil(lambda: not film.playing, timeout=5000)
+        qtbot.waitUntil(lambda: not film.playing, timeout=60_000)
         assert self.sought[-1] == pytest.approx(0.12)
         assert all(b >= a for a, b in zip(self.sought, self.sought[1:], strict=False))
 
@@ -365,7 +365,7 @@ def test_a_choice_answers_once_with_its_own_keys(theme, qtbot):
     qtbot.addWidget(parent)
     parent.resize(600, 400)
     bar, answers = ChoiceBar(parent), []
-    with qtbot.waitActive(parent, timeout=3000):
+    with qtbot.waitActive(parent, timeout=60_000):
         parent.show()
         parent.activateWindow()
     bar.ask("Why?", [("1", "slip"), ("?", "unsure")], answers.append)

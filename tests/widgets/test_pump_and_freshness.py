@@ -84,7 +84,7 @@ def test_the_timer_ticks_and_stops(qtbot):
     owner = QObject()
     pump = Pump(owner, lambda: False)
     pump.start()
-    qtbot.waitUntil(lambda: pump.ticks >= 2, timeout=2000)
+    qtbot.waitUntil(lambda: pump.ticks >= 2, timeout=60_000)
     pump.stop()
 
 

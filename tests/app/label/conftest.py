@@ -101,7 +101,7 @@ class Desk:
         return self.workspace.presenter.saving
 
     def open(self) -> None:
-        with self._qtbot.waitActive(self.main.window, timeout=5000):
+        with self._qtbot.waitActive(self.main.window, timeout=60_000):
             self.main.window.show()
             self.main.window.activateWindow()
         self.press(KEY.Key_2, CTRL)
@@ -115,7 +115,7 @@ class Desk:
 
     def settle(self) -> None:
         """Wait until everything that was asked for is done."""
-        self._qtbot.waitUntil(self.is_quiet, timeout=30_000)
+        self._qtbot.waitUntil(self.is_quiet, timeout=60_000)
 
     def is_quiet(self) -> bool:
         QApplication.processEvents()

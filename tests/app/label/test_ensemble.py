@@ -27,7 +27,7 @@ def choose(desk, qtbot, words, said):
     desk.workspace.whole.choose_models()
     desk.page.words.setText(words)
     desk.press(KEY.Key_Return)
-    qtbot.waitUntil(lambda: said in desk.page.message.text(), timeout=20_000)
+    qtbot.waitUntil(lambda: said in desk.page.message.text(), timeout=60_000)
     desk.settle()
 
 

@@ -128,7 +128,7 @@ def test_the_log_is_searched_and_left_by_keys(desk, qtbot):
     desk.type("ACCEPT")
     assert side.needle.text().lower() == "accept"
     side.needle.setText("accept")
-    qtbot.waitUntil(lambda: side.log.count() == 1, timeout=10_000)
+    qtbot.waitUntil(lambda: side.log.count() == 1, timeout=60_000)
     uuid = desk.uuid
     desk.do(KEY.Key_Return)  # leaves the line, decides nothing
     assert (desk.uuid, desk.book.head(uuid).state) == (uuid, "draft")

@@ -29,7 +29,7 @@ def test_a_finding_opens_its_episodes_as_a_queue(desk, qtbot):
     assert "Ctrl+H" in desk.page.message.text()
     standing = desk.page.queue.currentText()
     desk.press(KEY.Key_H, CTRL)
-    qtbot.waitUntil(lambda: desk.page.health.list.count() > 0, timeout=20_000)
+    qtbot.waitUntil(lambda: desk.page.health.list.count() > 0, timeout=60_000)
     assert desk.page.health.isVisible()
     assert f"{ITEMS} episodes were looked through" in desk.page.health.said.text()
     kinds = desk.workspace.health.kinds

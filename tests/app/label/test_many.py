@@ -14,7 +14,7 @@ LABELLED = ITEMS - WITHOUT_LABEL
 
 
 def wait(desk, qtbot, text):
-    qtbot.waitUntil(lambda: text in desk.page.message.text(), timeout=30_000)
+    qtbot.waitUntil(lambda: text in desk.page.message.text(), timeout=60_000)
     desk.settle()
 
 
@@ -99,7 +99,7 @@ def test_agreement_and_log_are_shown(desk, qtbot):
     assert "No two people" in side.agreement.text()
     side.choose(2)
     side.needle.setText("accept")
-    qtbot.waitUntil(lambda: side.log.count() == 1, timeout=5000)
+    qtbot.waitUntil(lambda: side.log.count() == 1, timeout=60_000)
     assert "Ann: accept next" in side.log.item(0).text()
 
 
@@ -110,7 +110,7 @@ def test_the_model_scores_the_dataset_beside_the_labels(desk, qtbot):
     assert "Ctrl+M" in desk.page.message.text()
     desk.press(KEY.Key_M, CTRL)
     wait(desk, qtbot, "were scored")
-    qtbot.waitUntil(lambda: len(desk.workspace.presenter.walk.order) == LABELLED, timeout=10_000)
+    qtbot.waitUntil(lambda: len(desk.workspace.presenter.walk.order) == LABELLED, timeout=60_000)
     assert content(desk) == before
 
 

@@ -8,7 +8,7 @@ from tests.app.label.conftest import KEY
 def test_the_former_episode_stays_in_sight_until_the_next_is_there(desk, monkeypatch):
     presenter, gate = desk.workspace.presenter, threading.Event()
     read = presenter._prefetch._read
-    monkeypatch.setattr(presenter._prefetch, "_read", lambda uuid: (gate.wait(20), read(uuid))[1])
+    monkeypatch.setattr(presenter._prefetch, "_read", lambda uuid: (gate.wait(120), read(uuid))[1])
     page, first = desk.page, desk.uuid
     view, frame = page.film.views["left"], page.film.views["left"]._frame
     far = presenter.walk.order[30]

@@ -103,7 +103,7 @@ def test_blind_and_time_are_kept_with_the_answer(desk):
     desk.do((KEY.Key_B, CTRL), KEY.Key_Return)
     body = desk.book.log(limit=1)[0].body
     assert body["blind"] is True
-    assert 0 <= body["seen_ms"] < 60_000
+    assert 0 <= body["seen_ms"] < 3_600_000
 
 
 def test_taking_the_model_keeps_its_name_until_a_person_moves_it(desk):

@@ -71,7 +71,7 @@ def merged(folder: Path, name: str, first: str, *others: str) -> Dataset:
     return dataset
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
 @given(a=steps, b=steps, c=steps, between=steps)
 def test_union_is_commutative_associative_and_idempotent(
     a: list[Step], b: list[Step], c: list[Step], between: list[Step]

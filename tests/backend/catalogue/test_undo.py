@@ -81,7 +81,7 @@ def act(dataset: Dataset, step: Step, uuids: list[str]) -> bool:
     return labels.chain_heads() != before
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
 @given(steps=steps, restarts=st.sets(st.integers(0, 60)))
 def test_undo_all_gives_the_beginning_and_redo_all_the_end(
     steps: list[Step], restarts: set[int]

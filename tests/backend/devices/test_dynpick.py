@@ -56,7 +56,7 @@ def connect(driver):
     driver.connect(5.0, threading.Event())
 
 
-def until(condition, limit_s=10.0):
+def until(condition, limit_s=60.0):
     """Wait on an event that nobody sets: no test depends on how fast the machine is."""
     end, never = time.monotonic() + limit_s, threading.Event()
     while not condition():

@@ -4,7 +4,7 @@ import threading
 import time
 
 
-def until(condition, limit_s=10.0):
+def until(condition, limit_s=60.0):
     """Wait on an event that nobody sets: no test depends on how fast the machine is."""
     end, never = time.monotonic() + limit_s, threading.Event()
     while not condition():

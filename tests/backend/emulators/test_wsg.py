@@ -147,7 +147,7 @@ def test_over_tcp_a_torn_connection_latches_the_fast_stop():
     front = TcpFront(gripper)
     front.start()
     for _ in range(2):
-        with socket.create_connection(front.address, timeout=5) as client:
+        with socket.create_connection(front.address, timeout=60) as client:
             client.sendall(data("wsg-state-once"))
             reply = client.recv(100)
     front.close()

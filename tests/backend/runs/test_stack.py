@@ -98,7 +98,7 @@ def test_equal_seeds_give_equal_bits_live_and_stepped() -> None:
     live.session.prepare(request(seed=99).scene())
     live.session.open(speed=100.0)
     live.session.start(request(trials=1))
-    assert ended.wait(90)
+    assert ended.wait(300)
     live.session.close()
     assert live.record() == stepped.record()
     assert len(live.oracles[-1].asked) > 1
@@ -276,7 +276,7 @@ def test_a_dying_bench_thread_latches_a_fault_and_ends_the_run() -> None:
     after(bench, PhaseEntered, "approach", break_down)
     bench.session.open(speed=100.0)
     bench.session.start(request())
-    assert ended.wait(30)
+    assert ended.wait(300)
     bench.session.close()
     assert bench.session.interlock.latched
     assert not bench.session.engine.busy

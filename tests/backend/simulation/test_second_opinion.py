@@ -13,6 +13,7 @@ from backend.runs import words
 from backend.runs.requests import StackRequest
 from backend.simulation import scoring
 from backend.simulation.scene import Scene
+from tests.backend.brisk import brisk_bench, brisk_method
 
 STILL = (0.0, 0.0)
 
@@ -60,7 +61,7 @@ def ended(margin_mm: float, fallen: bool, monkeypatch: pytest.MonkeyPatch) -> Tr
     monkeypatch.setattr(scoring, "simulate_release", lambda *a, **k: (fallen, plain(*a, **k)[1]))
     monkeypatch.setattr(scoring, "margin_mm", lambda *_: margin_mm)
     monkeypatch.setattr(scoring, "judge", lambda *_: Verdict((margin_mm,), ("pot",)))
-    session = simulated_session(animate=True)
+    session = simulated_session(brisk_bench(), method=brisk_method(), animate=True)
     ends: list[Fact] = []
     session.hub.subscribe(ends.append)
     session.run(StackRequest(strategy="pick-and-place"))

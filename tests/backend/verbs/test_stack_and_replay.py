@@ -16,6 +16,7 @@ from backend.__main__ import main
 from backend.dataset.episode_reading import read_episode
 from backend.runs.journal import NAME
 from backend.simulation.release_mujoco import available
+from tests.backend.brisk import RATE_HZ
 
 TRIAL_KEYS = {
     "seed",
@@ -29,6 +30,14 @@ TRIAL_KEYS = {
 OUTCOMES = {"placed", "fell", "knocked_over", "gave_up", "aborted"}
 
 
+@pytest.fixture
+def bench(tmp_path: Path) -> str:
+    """Settings of a bench with half the pictures."""
+    path = tmp_path / "bench.toml"
+    path.write_text(f"[tactile]\nrate_hz = {RATE_HZ}\n", "utf-8")
+    return str(path)
+
+
 def call(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
     status = main([*words, "--json"])
     told = capsys.readouterr()
@@ -36,10 +45,11 @@ def call(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str
 
 
 def test_stack_then_replay_tell_the_same(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, bench: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     runs = str(tmp_path / "runs")
     words = ("stack", "--piece", "pot", "--bottom", "short", "--seed", "0", "--runs", runs)
+    words += ("--bench", bench)
     status, out, err = call(capsys, *words)
     told = json.loads(out)
     assert err == ""
@@ -103,17 +113,18 @@ def test_bad_input_is_one_error_and_leaves_nothing_behind(
 
 
 def test_a_run_killed_in_the_middle_replays_to_its_last_fact(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, bench: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     runs = tmp_path / "runs"
     command = [sys.executable, "-m", "backend", "stack", "--trials", "50", "--runs", str(runs)]
+    command += ["--bench", bench]
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=os.environ) as child:
         assert child.stdout is not None
         for line in child.stdout:
             if b"Probe 2" in line:
                 break
         child.send_signal(signal.SIGKILL)
-        child.wait(10)
+        child.wait(60)
     status, out, _ = call(capsys, "replay", "latest", "--runs", str(runs))
     told = json.loads(out)
     assert status == 0
@@ -139,10 +150,11 @@ def test_a_runs_folder_that_cannot_be_written_is_bad_input(
 
 
 def test_ctrl_c_lifts_tells_the_result_and_closes_the_journal(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, bench: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     runs = tmp_path / "runs"
     command = [sys.executable, "-m", "backend", "stack", "--trials", "50", "--runs", str(runs)]
+    command += ["--bench", bench]
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=os.environ) as child:
         assert child.stdout is not None
         for line in child.stdout:
@@ -150,7 +162,7 @@ def test_ctrl_c_lifts_tells_the_result_and_closes_the_journal(
                 break
         child.send_signal(signal.SIGINT)
         rest = child.stdout.read().decode()
-        status = child.wait(20)
+        status = child.wait(60)
     assert status == 1
     assert "aborted" in rest
     assert "Kept in" in rest
@@ -218,9 +230,9 @@ def test_a_camera_that_falls_silent_ends_in_one_fault_and_keeps_the_rest(
 
 
 def test_a_camera_silent_for_a_moment_costs_one_probe(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, bench: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    runs = ("--runs", str(tmp_path / "runs"))
+    runs = ("--runs", str(tmp_path / "runs"), "--bench", bench)
     status, out, _ = call(
         capsys, "stack", "--seed", "7", *runs, "--inject", "tactile_left:stop@4.0+0.4"
     )

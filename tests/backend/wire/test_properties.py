@@ -16,7 +16,7 @@ CHECKED = [key for key in STREAMS if key[0] in SUMMED and key not in TEXTS]
 """Streams with a checksum of 16 bits: what comes out was sent."""
 FRAMED = [key for key in STREAMS if key not in TEXTS]
 
-few = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+few = settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 by_key = pytest.mark.parametrize("key", ALL, ids="/".join)
 by_stream = pytest.mark.parametrize("key", STREAMS, ids="/".join)
 

@@ -164,7 +164,7 @@ class Blocking:
         self.let_go = threading.Event()
 
     def read(self, limit_s):
-        self.let_go.wait(20.0)
+        self.let_go.wait(240.0)
 
     def close(self):
         pass
@@ -177,7 +177,7 @@ def test_a_read_that_blocks_holds_up_neither_connect_nor_close(tmp_path):
     begun_s = time.monotonic()
     with pytest.raises(FaultError, match="No picture"):
         driver.connect(0.1, threading.Event())
-    assert time.monotonic() - begun_s < 10.0
+    assert time.monotonic() - begun_s < 120.0
     source.let_go.set()
 
 

@@ -263,7 +263,7 @@ def test_stop_while_connecting_ends_the_start_up():
     try:
         until(lambda: b"SRVON" in said(front))
         arm.stop()
-        thread.join(10.0)
+        thread.join(60.0)
         assert not thread.is_alive()
     finally:
         arm.close()

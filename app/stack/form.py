@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 
 from widgets.run_panel import RunForm
 
@@ -18,3 +18,9 @@ def form_of(memory: Mapping[str, object]) -> tuple[RunForm, list[str]]:
         else:
             dropped.append(entry.name)
     return RunForm(**known), dropped  # type: ignore[arg-type]
+
+
+def careful(form: RunForm) -> RunForm:
+    """Return the form for real or emulated devices: asked before each move, one trial at a time."""
+    mode = "approve" if form.mode == "auto" else form.mode
+    return replace(form, mode=mode, trials=1, strategy="paper")

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from app.link import Link
 from app.live import LivePresenter, LiveViews
 from app.stack.comparison import Comparison
-from app.stack.form import form_of
+from app.stack.form import careful, form_of
 from app.stack.page import StackIntents, StackPage
 from app.stack.presenter import StackPresenter, request_of
 from app.stack.side import SidePresenter
@@ -58,7 +58,7 @@ class StackWorkspace(Workspace):
             [(name, shown.piece(name).title) for name in shown.tops],
             [(name, shown.piece(name).title) for name in shown.bottoms],
         )
-        page.run.show_form(self._form)
+        page.run.show_form(self._form if link.simulated else careful(self._form))
         page.decision.show_text(NOTHING_YET)
         self.parts = (
             self.live.draw_left, self.live.draw_right, self.live.draw_wrench,

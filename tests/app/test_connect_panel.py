@@ -158,6 +158,11 @@ def test_after_stop_nothing_is_connected_before_reset(lab, bench):
     assert len(bench.connection.missing()) == len(LINES)
 
 
+def test_on_devices_each_move_is_asked_for(lab):
+    form = lab.workspaces["stack"].page.run.form()
+    assert (form.mode, form.trials, form.strategy) == ("approve", 1, "paper")
+
+
 def test_every_limit_is_shown_with_its_unit():
     assert {row.name for row in rows_of(Limits())} == {*Limits.__dataclass_fields__}
     assert [unit_of(n) for n in ("trip_nm", "trip_n", "jog_mm_s", "turn_rad_s", "tilt_rad")] == [

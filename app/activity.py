@@ -43,17 +43,8 @@ def why_no_run(link: Link) -> str:
         return "Press Reset first"
     if link.hand is None and not_set(link):
         return not_set(link)
+    if link.hand is not None and not link.hand.powered:
+        return "The servo is off: hold Servo in the top bar for 1 s"
     if link.hand is not None and link.hand.pressing_n:
         return "In contact: lift first (jog +Z in Operate)"
     return ""
-
-
-def unattended(link: Link) -> str:
-    """Return what would be left alone if the window closed now, "" for nothing."""
-    if busy(link):
-        return "A run is active and a piece may be held."
-    if link.hand is None:
-        return ""
-    if link.hand.active:
-        return "The bench is being moved by hand."
-    return "A piece is held." if link.hand.holding else ""

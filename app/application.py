@@ -11,15 +11,17 @@ from PySide6.QtGui import QIcon
 from PySide6.QtWidgets import QApplication
 
 from app.actions import Actions
-from app.activity import moving, unattended
+from app.activity import moving
 from app.appearance import Appearance
 from app.arrival import Arrival, failed_card
+from app.cards import stopped_card
 from app.chips import ChipsPresenter
+from app.closing import Closing
 from app.connect.banner import words_of
 from app.connect.panels import BenchPanels
 from app.desk_dialogs import DeskDialogs
-from app.error_hooks import ErrorBox
-from app.fact_cards import clock, tell
+from app.error_hooks import ErrorBox, log
+from app.fact_cards import clock, note, tell
 from app.inspect import InspectPresenter
 from app.keys import rows_of
 from app.layout_menu import LayoutMenu
@@ -28,6 +30,7 @@ from app.link import Link
 from app.main_window import USUAL, MainWindow
 from app.on_screen import pulled_back
 from app.pill import pill_of
+from app.servo import ServoSwitch
 from app.settings import WindowSettings, ignored_words, load_settings, save_settings
 from app.speed import SpeedOverride
 from app.stop_key import StopKey
@@ -36,7 +39,7 @@ from app.workspace import Command, Desk, Workspace
 from app.workspaces import FIRST, WORKSPACES
 from backend.core.facts import Fact
 from backend.core.hub import Mailbox
-from widgets.fault_cards import STOPPED, CardText, FaultCards, Question
+from widgets.fault_cards import CardText, FaultCards
 from widgets.pump import Pump
 from widgets.state_pill import PillState
 from widgets.theme import load_resources
@@ -50,7 +53,10 @@ MOST_PARTS = 8
 class TouchdownApp(QObject):
     """Owns window, workspaces and pump. The bench arrives later, from a thread."""
 
+    link: Link | None = None
     panels: BenchPanels | None = None
+    _servo: ServoSwitch | None = None
+    _holds: Callable[[], bool] | None = None
 
     def __init__(
         self, application: QApplication, box: ErrorBox, settings_file: Path, runs: Path
@@ -71,7 +77,7 @@ class TouchdownApp(QObject):
         self.workspaces: dict[str, Workspace] = {ws.name: ws for ws in made}
         self.window = MainWindow(self.theme, self.bar, self.cards, made)
         self.window.may_close = self._may_close
-        self.link: Link | None = None
+        self._closing = Closing(self.cards, self.stop, self.window.close)
         self._arrival, self._mailbox = Arrival(), Mailbox()
         self._chips: ChipsPresenter | None = None
         self.inspect: InspectPresenter | None = None
@@ -87,7 +93,7 @@ class TouchdownApp(QObject):
             self.window, self.layouts, lambda: self.window.front, self.actions.action("layout")
         )
         self.dialogs.more = lambda: self.layouts.entries(self.window.front)
-        self.toured, self.tour_due, self._closing_allowed = settings.toured, False, False
+        self.toured, self.tour_due = settings.toured, False
         self.tour = Tour(self.theme, self.window, self._stops, self.go, self._tour_ended)
         self._wire_rail()
         self.look.refit = self._refit
@@ -120,9 +126,10 @@ class TouchdownApp(QObject):
         for ws in self.workspaces.values():
             ws.attach(link)
         self.window.show_bench(words_of(link))
-        self.panels = BenchPanels(link, self.window, self.cards)
+        self.panels = BenchPanels(link, self.theme, self.window, self.cards)
         self.panels.open_connect()
         self._speed.attach(link)
+        self._servo = ServoSwitch(link, self.bar, self.cards)
         self.bar.show_hardware_stop("none" if link.simulated else "unknown")
         link.open()
         # Whoever has gone to another page meanwhile has begun to work.
@@ -175,7 +182,7 @@ class TouchdownApp(QObject):
 
     def quit_at_once(self, status: int = 0) -> None:
         """Close without a question (for pictures and measurements)."""
-        self._closing_allowed = True
+        self._closing.allowed = True
         self.window.close()
         self._application.exit(status)
 
@@ -192,21 +199,7 @@ class TouchdownApp(QObject):
         return dropped
 
     def _may_close(self) -> bool:
-        left = "" if self.link is None else unattended(self.link)
-        if self._closing_allowed or not left:
-            return True
-        self.cards.ask(
-            Question(
-                f"{left} Stop and close? The grip is kept.",
-                (("Keep running", _stay), ("Stop and close", self._stop_and_close)),
-            )
-        )
-        return False
-
-    def _stop_and_close(self) -> None:
-        self.stop()
-        self._closing_allowed = True
-        self.window.close()
+        return self._closing.may_close(self.link)
 
     # -- orders -----------------------------------------------------------------------------------
 
@@ -214,15 +207,8 @@ class TouchdownApp(QObject):
         """Software stop: returns at once, legal in every state."""
         if self.link is not None:
             self.link.stop()
-            self.cards.show_card(
-                CardText(
-                    STOPPED,
-                    "Stopped by the operator.",
-                    "The run ends and new motion is refused; the grip is kept.",
-                    "Look at the bench, then press Reset.",
-                    at=clock(),
-                )
-            )
+            log.info("STOP by the operator")
+            self.cards.show_card(stopped_card(clock()))
 
     def reset(self) -> None:
         """Clear the latch and the cards."""
@@ -230,8 +216,9 @@ class TouchdownApp(QObject):
             self.link.reset()
         self.cards.clear()
 
-    def say(self, text: str) -> None:
-        """Show a sentence in the foot."""
+    def say(self, text: str, holds: Callable[[], bool] | None = None) -> None:
+        """Show a sentence in the foot; with ``holds`` only as long as that is true."""
+        self._holds = holds
         self.window.show_message(text)
 
     def go(self, name: str) -> None:
@@ -255,6 +242,8 @@ class TouchdownApp(QObject):
             *pages,
             Command("connect", "Connect the bench", "Ctrl+L", self._connect_again),
             Command("limits", "Limits of motion and force", "", self._show_limits),
+            Command("calibrate", "Calibrate: payload, board, tool, wrist, cameras", "Ctrl+Shift+K",
+                    self._show_calibrations),
             Command("layout", "Reset the layout", "Ctrl+0", self._reset_layout),
             Command("layouts", "Layouts of this workspace", "Ctrl+Alt+L", self._show_layouts),
             Command("lock", "Lock or unlock the layout", "", lambda: self.layouts.toggle_lock()),
@@ -282,6 +271,10 @@ class TouchdownApp(QObject):
     def _show_limits(self) -> None:
         if self.panels is not None:
             self.panels.limits.open()
+
+    def _show_calibrations(self) -> None:
+        if self.panels is not None:
+            self.panels.calibrate.open()
 
     def _connect_again(self) -> None:
         if self.panels is not None:
@@ -370,6 +363,9 @@ class TouchdownApp(QObject):
     def _take(self, fact: Fact) -> None:
         for ws in self.workspaces.values():
             ws.take(fact)
+        if self.panels is not None:
+            self.panels.calibrate.take(fact)
+        note(fact)
         tell(fact, self.link, self.cards, self.say)
 
     def _show_connecting(self) -> None:
@@ -387,6 +383,10 @@ class TouchdownApp(QObject):
         if self.link is None or self._chips is None:
             return
         if self._chips.draw():
+            if self._servo is not None:
+                self._servo.draw()
+            if self._holds is not None and not self._holds():
+                self.say("")
             if self.inspect is not None:
                 self.inspect.draw()
             if self.panels is not None:
@@ -394,7 +394,3 @@ class TouchdownApp(QObject):
             pace = f"{self.pace:.2f}\N{MULTIPLICATION SIGN} real time" if self.pace else ""
             self.window.show_right(pace)
         self.bar.pill.show_state(pill_of(self.link))
-
-
-def _stay() -> None:
-    """Do nothing: the run goes on."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from backend.core.faults import Fault, RefusedError
-from widgets.fault_cards import CardText
+from widgets.fault_cards import STOPPED, CardText
 
 
 def card_of(fault: Fault, at: str) -> CardText:
@@ -14,6 +14,17 @@ def card_of(fault: Fault, at: str) -> CardText:
     )
     return CardText(
         fault.code, fault.what, fault.consequence, fault.next_step, details, reset=True, at=at
+    )
+
+
+def stopped_card(at: str) -> CardText:
+    """Return the card of a STOP."""
+    return CardText(
+        STOPPED,
+        "Stopped by the operator.",
+        "The run ends and new motion is refused; the grip is kept.",
+        "Look at the bench, then press Reset.",
+        at=at,
     )
 
 

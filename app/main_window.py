@@ -21,9 +21,11 @@ from PySide6.QtWidgets import (
 )
 
 from app.connect.banner import BenchWords
+from widgets.columns import Columns
 from widgets.elided import ElidedLabel
 from widgets.fault_cards import FaultCards
 from widgets.icons import icon
+from widgets.on_top import OnTop
 from widgets.panel import label
 from widgets.stripes import BenchBanner
 from widgets.theme import Theme, ui_font
@@ -70,14 +72,15 @@ class MainWindow(QMainWindow):
         self.fit_to_theme()
 
     def _arrange(self, bar: TopBar, cards: FaultCards) -> None:
-        right = QVBoxLayout()
-        right.setSpacing(0)
-        right.addWidget(cards)
+        body = QWidget()
+        right = QVBoxLayout(body)
+        right.setContentsMargins(0, 0, 0, 0)
         right.addWidget(self._stack, 1)
+        self._on_top = OnTop(cards, body)
         middle = QHBoxLayout()
         middle.setSpacing(0)
         middle.addWidget(self._rail())
-        middle.addLayout(right, 1)
+        middle.addWidget(body, 1)
         frame = self._frame = QWidget()
         frame.setObjectName("frame")
         column = QVBoxLayout(frame)
@@ -157,11 +160,13 @@ class MainWindow(QMainWindow):
         for name, button in self.rail.items():
             button.setIcon(icon(name, self._theme.tokens.colour("text"), 22))
         self._fit_rail()
+        self._fit_columns()
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Leave the icons out of the rail where there is room for its words alone."""
         super().resizeEvent(event)
         self._fit_rail()
+        self._fit_columns()
 
     def _fit_rail(self) -> None:
         full = Qt.ToolButtonStyle.ToolButtonTextUnderIcon
@@ -172,6 +177,14 @@ class MainWindow(QMainWindow):
             taken = self._bar.sizeHint().height() + self._foot_frame.sizeHint().height()
             if needed + 2 * RAIL_MARGIN_PX <= self.height() - taken:
                 return
+
+    def _fit_columns(self) -> None:
+        """Where a page is wider than the window its controls come first: the rest scrolls."""
+        for name, page in self._pages.items():
+            least = max(page.minimumWidth(), page.minimumSizeHint().width())
+            narrow = self._scrolls[name].width() < least
+            for columns in page.findChildren(Columns):
+                columns.lead_with_controls(narrow)
 
     def closeEvent(self, event: QCloseEvent) -> None:
         """Close if granted."""

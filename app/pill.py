@@ -33,6 +33,8 @@ def pill_of(link: Link) -> PillState:
         return PillState("STOPPED", "square", "blue", "press Reset")
     if link.connection is not None and (standing := _standing(link.connection)):
         return standing
+    if link.hand is not None and not link.hand.powered:
+        return PillState("NOT READY", "triangle", "blue", "switch the servo on")
     by_hand = _by_hand(link)
     if by_hand:
         return PillState("JOG", "play", "green", by_hand)

@@ -172,6 +172,8 @@ class Session:
         if not isinstance(request, SetRequest):
             self._refuse_contact()
             self._refuse_turned()
+            if self.hand is not None and not self.hand.powered:
+                raise RefusedError("SERVO-OFF", "The servo of the arm is off: switch it on first.")
         self.engine.begin(self._plan(request))
 
     def run(self, request: Request) -> None:

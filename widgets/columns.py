@@ -33,7 +33,11 @@ class Columns(QSplitter):
     """Panels came or went, or an edge was moved."""
 
     def __init__(
-        self, parts: Sequence[tuple[QWidget, float]], panels: Mapping[str, QWidget]
+        self,
+        parts: Sequence[tuple[QWidget, float]],
+        panels: Mapping[str, QWidget],
+        *,
+        controls_last: bool = False,
     ) -> None:
         super().__init__(Qt.Orientation.Horizontal)
         self.setObjectName("columns")
@@ -41,7 +45,7 @@ class Columns(QSplitter):
         total = sum(share for _, share in parts)
         self.usual = Arrangement(tuple(share / total for _, share in parts))
         self._now = self.usual
-        self.locked = True
+        self.locked, self._leading, self._controls_last = True, False, controls_last
         self.setHandleWidth(GAP_PX)
         for part in self._parts:
             self.addWidget(part)
@@ -103,6 +107,14 @@ class Columns(QSplitter):
             shape = Qt.CursorShape.ArrowCursor if locked else Qt.CursorShape.SplitHCursor
             edge.setCursor(shape)
 
+    def lead_with_controls(self, lead: bool) -> None:
+        """Show the controls first, where they are the last column; or in their usual place."""
+        if self._controls_last and lead != self._leading:
+            self._leading = lead
+            self.insertWidget(0 if lead else self.count() - 1, self._parts[-1])
+            self.lock(self.locked)
+            self._apply()
+
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Keep the shares, whatever the width."""
         super().resizeEvent(event)
@@ -110,13 +122,19 @@ class Columns(QSplitter):
 
     # -- inside -----------------------------------------------------------------------------------
 
+    def _order(self) -> list[int]:
+        """Return the numbers of the columns from the left."""
+        usual = list(range(len(self._parts)))
+        return [usual[-1], *usual[:-1]] if self._leading else usual
+
     def _apply(self) -> None:
-        self.setSizes([max(1, round(1e5 * share)) for share in self._now.shares])
+        shares = self._now.shares
+        self.setSizes([max(1, round(1e5 * shares[k])) for k in self._order()])
 
     def _moved(self) -> None:
         """Take the widths that the operator made; a hidden column keeps its share."""
-        sizes = self.sizes()
-        seen = [k for k, size in enumerate(sizes) if size > 0]
+        sizes = dict(zip(self._order(), self.sizes(), strict=True))
+        seen = [k for k, size in sizes.items() if size > 0]
         room = sum(self._now.shares[k] for k in seen)
         total = max(sum(sizes[k] for k in seen), 1)
         shares = list(self._now.shares)

@@ -94,6 +94,8 @@ QAbstractSpinBox QLineEdit {{ border: none; padding: 0; background: transparent;
     min-height: 0; }}
 QComboBox[role="compact"] {{ padding: 0 6px; min-height: 18px; font-size: {small}pt; }}
 
+QPushButton[role="compact"] {{ padding: 0 4px; min-height: 18px; font-size: {small}pt; }}
+
 QSpinBox[role="compact"] {{ padding: 0 4px; min-height: 18px; font-size: {small}pt; }}
 QSpinBox[role="compact"]::up-button, QSpinBox[role="compact"]::down-button {{ width: 0; }}
 QSpinBox[role="compact"]::up-arrow, QSpinBox[role="compact"]::down-arrow {{ image: none; }}

@@ -101,7 +101,10 @@ class TargetPanel(Panel):
         self.ask = QCheckBox("Wait for an answer after each probe")
         self.hand_over = QCheckBox("Hand the piece over (no jig)")
         self.residual = label("", "small", wrap=True)
-        self.here, self.take = QPushButton("Set where the arm is"), QPushButton("Move there")
+        self.here, self.take = (
+            QPushButton("Set where the arm is"),
+            QPushButton("Add residual"),
+        )
         self.why_not, self.lift = label("", "small", wrap=True), QPushButton("Lift 5 mm")
         self.start, self.go_on = QPushButton("Start collecting"), QPushButton("Go on")
         self.pause, self.end = QPushButton("Pause"), QPushButton("End")
@@ -157,7 +160,11 @@ class TargetPanel(Panel):
             (self.ask, "Ask after every probe", "Nothing moves until one key answers"),
             (self.hand_over, "Hand over", "You hold the piece between the jaws and take it back"),
             (self.here, "Set the origin where the arm is", "Jog it over the centre of the bottom"),
-            (self.take, "Move the origin there", "Add the residual to the origin for new probes"),
+            (
+                self.take,
+                "Add the residual to the origin",
+                "Add the residual to the origin for new probes",
+            ),
             (self.lift, "Lift", "Rise by 5 mm, so that a campaign can start"),
             (self.end, "End the campaign for now", "Lift, settle what was probed, end"),
             (self.bar, "Progress", "Accepted probes of the campaign"),
@@ -199,8 +206,8 @@ class TargetPanel(Panel):
         for button in (self.go_on, self.pause, self.end):
             buttons.addWidget(button, 1)
         origins = QHBoxLayout()
-        for button in (self.here, self.take):
-            origins.addWidget(button, 1)
+        origins.addWidget(self.here, 3)
+        origins.addWidget(self.take, 2)
         self.column.insertLayout(1, form)
         self.column.addLayout(origins)
         for widget in (

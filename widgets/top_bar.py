@@ -19,10 +19,13 @@ from PySide6.QtWidgets import (
 from widgets.device_chip import DeviceChip
 from widgets.icons import icon
 from widgets.panel import label
+from widgets.servo_button import ServoButton
 from widgets.state_pill import StatePill
 from widgets.theme import Theme
 
-MARGIN, GAP, CHIP_GAP = 10, 10, 4
+MARGIN, GAP, CHIP_GAP = 8, 8, 4
+OVERRIDE_PAD_PX = 20
+"""Frame and padding of the override beside its figures."""
 OVERRIDE = (10, 100)
 """Percent, least and most."""
 USUAL_MODE = "Robot: Program"
@@ -59,6 +62,9 @@ class TopBar(QFrame):
         self.override.setProperty("role", "compact")
         self._override_title = label("OVRD", "small")
         self._override_title.setBuddy(self.override)
+        self.servo = ServoButton()
+        self._servo_title = label("Servo", "small")
+        self._servo_title.setBuddy(self.servo)
         self._estop_title = label("HW E-stop", "small")
         self._estop = label("unknown", "small")
         self.stop = QPushButton("STOP motion (software)")
@@ -96,6 +102,8 @@ class TopBar(QFrame):
             chips.addWidget(chip)
         chips.addSpacing(GAP - CHIP_GAP)
         chips.addLayout(_two(self._override_title, self.override))
+        chips.addSpacing(GAP - CHIP_GAP)
+        chips.addLayout(_two(self._servo_title, self.servo))
         row.insertWidget(2, self._devices)
         self._second = QHBoxLayout()
         column.addLayout(self._second)
@@ -115,6 +123,8 @@ class TopBar(QFrame):
         chips, room = tuple(self.chips.values()), self.width()
         # Room for the usual words, so that the chips do not jump when the arm starts.
         self._robot.setMinimumWidth(self._robot.fontMetrics().horizontalAdvance(USUAL_MODE))
+        figures = self.override.fontMetrics().horizontalAdvance("100 %")
+        self.override.setFixedWidth(figures + OVERRIDE_PAD_PX)
         for short in (False, True):
             for chip in chips:
                 chip.show_short(short)
@@ -140,8 +150,9 @@ class TopBar(QFrame):
         estop = max(self._estop_title.sizeHint().width(), self._estop.sizeHint().width())
         fixed = self.pill.sizeHint().width() + modes + estop + self.stop.sizeHint().width()
         if chips:
-            override = (self._override_title.sizeHint().width(), self.override.sizeHint().width())
+            override = (self._override_title.sizeHint().width(), self.override.width())
             fixed += GAP + max(override)
+            fixed += GAP + max(self._servo_title.sizeHint().width(), self.servo.sizeHint().width())
         return fixed + sum(c.sizeHint().width() + CHIP_GAP for c in chips) + 5 * GAP + 2 * MARGIN
 
     def show_modes(self, robot: str, safety: str) -> None:

@@ -12,7 +12,8 @@ from widgets.last_probe_panel import ProbeWords
 def words_of(held: Held | None, *, asking: bool, running: bool, back: bool) -> ProbeWords:
     """Return a probe in words. ``back``: an older one is looked at, or no run goes on."""
     if held is None:
-        return ProbeWords("No probe yet", detail="Start a campaign (F5).")
+        detail = "The first one is on its way." if running else "Start a campaign (F5)."
+        return ProbeWords("No probe yet", detail=detail)
     entry = held.entry
     accepted = entry.quality.accepted
     verdict, tone = ("\N{CHECK MARK} Observation", "good") if accepted else (

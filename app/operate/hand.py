@@ -167,6 +167,8 @@ class HandPresenter:
             return not_set(self._link) or "The bench is being prepared"
         if self._link.interlock.latched:
             return "Press Reset first"
+        if not self._link.hand.powered:
+            return "The servo is off: hold Servo in the top bar for 1 s"
         return "A run is going on" if busy(self._link) else ""
 
     def _look(self) -> PoseLook:

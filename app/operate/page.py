@@ -107,6 +107,7 @@ class OperatePage(LivePage):
                     "Jog": self.jog,
                     "Gripper": self.gripper,
                 },
+                controls_last=True,
             ),
             TRACES,
         )

@@ -103,6 +103,7 @@ class StackPage(LivePage):
                     "Trials": self.score,
                     SIDE: self.side_panel,
                 },
+                controls_last=True,
             ),
             TRACES,
         )

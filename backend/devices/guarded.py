@@ -28,6 +28,7 @@ from backend.devices.protocols import (
     Motion,
     PressCommand,
     PressMotion,
+    RobotMode,
     Vector,
 )
 from backend.devices.putting_back import JigEvidence, jig_refusal
@@ -102,6 +103,17 @@ class GuardedArm(_Guarded):
         """Status words of the arm."""
         return self._arm.status()
 
+    def servo(self, on: bool) -> None:
+        """Switch the motors; off is always allowed, on only without latch."""
+        if on:
+            self._interlock.refuse_latched()
+        self._arm.servo(on)
+
+    def _require_motion(self) -> None:
+        self._interlock.require_motion(self._now_s())
+        if self._arm.status().robot_mode is RobotMode.SERVO_OFF:
+            raise RefusedError("SERVO-OFF", "The servo of the arm is off: switch it on first.")
+
     def pose(self, max_age_s: float) -> Pose:
         """Measured pose of ``G``."""
         return self._arm.pose(max_age_s)
@@ -111,7 +123,7 @@ class GuardedArm(_Guarded):
 
         A hand that is turned, or is to be, stays high above the surface on the way.
         """
-        self._interlock.require_motion(self._now_s())
+        self._require_motion()
         limits = self._interlock.limits
         values = (*astuple(target), speed_mm_s, turn_rad_s)
         if not all(math.isfinite(value) for value in values):
@@ -130,7 +142,7 @@ class GuardedArm(_Guarded):
 
     def jog(self, velocity_mm_s: Vector, for_s: float, turn_rad_s: Vector = STILL) -> Motion:
         """Follow a velocity; refused when too fast, too long, outside, or against a force."""
-        self._interlock.require_motion(self._now_s())
+        self._require_motion()
         self._refuse_too_long(for_s)
         limits, here = self._interlock.limits, self._arm.pose(max_age_s=0.2)
         speed, turning = math.hypot(*velocity_mm_s), math.hypot(*turn_rad_s)
@@ -177,7 +189,7 @@ class GuardedArm(_Guarded):
 
     def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> Motion:
         """Turn joints; refused unless the hand is free, high, and stays inside the limits."""
-        self._interlock.require_motion(self._now_s())
+        self._require_motion()
         self._refuse_too_long(for_s)
         here = self._arm.pose(max_age_s=0.2)
         self._refuse_turning_jog(here, max(map(abs, speeds_rad_s)))
@@ -190,7 +202,7 @@ class GuardedArm(_Guarded):
 
     def move_joints(self, target_rad: Joints, speed_rad_s: float) -> Motion:
         """Turn joints to ``target_rad``; refused unless the way there stays inside the limits."""
-        self._interlock.require_motion(self._now_s())
+        self._require_motion()
         here, now = self._arm.pose(max_age_s=0.2), self._arm.joints_rad(max_age_s=0.2)
         self._refuse_turning_jog(here, speed_rad_s)
         longest = max(abs(b - a) for a, b in zip(now, target_rad, strict=True))
@@ -207,7 +219,7 @@ class GuardedArm(_Guarded):
 
     def press(self, command: PressCommand) -> PressMotion:
         """Press; refused if the nominal force exceeds the limit or the approach is too fast."""
-        self._interlock.require_motion(self._now_s())
+        self._require_motion()
         limits = self._interlock.limits
         nominal_n = command.stiffness_n_mm[2] * command.depth_mm
         if not nominal_n <= limits.probe_n:
@@ -224,7 +236,7 @@ class GuardedArm(_Guarded):
 
     def unload(self, force_n: float, speed_mm_s: float) -> Motion:
         """Rise to the press force ``force_n``."""
-        self._interlock.require_motion(self._now_s())
+        self._require_motion()
         return self._arm.unload(force_n, speed_mm_s)
 
     def stop(self) -> None:

@@ -242,11 +242,15 @@ class Interlock:
         """Whether motion is permitted now."""
         return now_s <= self._lease_until_s
 
-    def require_motion(self, now_s: float) -> None:
-        """Raise ``RefusedError`` unless motion may start now."""
+    def refuse_latched(self) -> None:
+        """Raise ``RefusedError`` after a stop or a fault, until ``reset``."""
         if self._stopped_by:
             raise RefusedError("STOPPED", f"Stopped by {self._stopped_by}: press Reset first.")
         if self._faults:
             raise RefusedError("FAULT", f"{self._faults[0].what} Press Reset first.")
+
+    def require_motion(self, now_s: float) -> None:
+        """Raise ``RefusedError`` unless motion may start now."""
+        self.refuse_latched()
         if not self.has_lease(now_s):
             raise RefusedError("NO-LEASE", "Nobody holds a live motion lease.")

@@ -28,7 +28,7 @@ from backend.devices.jog_axes import (
     turns,
 )
 from backend.devices.jog_permit import POSE_AGE_S, REPEAT_S, Around, Permit, left_words
-from backend.devices.protocols import STILL, Motion
+from backend.devices.protocols import STILL, Motion, RobotMode
 
 __all__ = ["STEPS_DEG", "STEPS_MM", "Around", "Jog", "JogOrder", "JogState"]
 
@@ -250,6 +250,8 @@ class Jog:
             raise RefusedError("BUSY", "A run is going on: cancel it first.")
         if self._interlock.latched:
             raise RefusedError("LATCHED", "The bench is stopped: press Reset first.")
+        if self._arm.status().robot_mode is RobotMode.SERVO_OFF:
+            raise RefusedError("SERVO-OFF", "The servo of the arm is off: switch it on first.")
 
     def _halt(self) -> None:
         # A run that has the bench moves the arm itself: it is not to be halted from here.

@@ -59,3 +59,14 @@ def replaced_fault(device: str) -> Fault:
         "Wait for a motion to end before the next command.",
         device,
     )
+
+
+def servo_off_fault(device: str) -> Fault:
+    """Return the fault of an order to an arm whose motors are off."""
+    return Fault(
+        "SERVO-OFF",
+        "The servo of the arm is off.",
+        "Nothing was moved.",
+        "Hold Servo in the top bar for 1 s.",
+        device,
+    )

@@ -195,6 +195,12 @@ class Arm(Device, Protocol):
     def status(self) -> ArmStatus:
         """Return the status words."""
 
+    def servo(self, on: bool) -> None:
+        """Switch the motors; off ends the motion under way. On may take seconds.
+
+        Raises ``FaultError``. Whatever moves the arm while they are off fails.
+        """
+
     def pose(self, max_age_s: float) -> Pose:
         """Return the measured pose; raises ``StaleSampleError`` if older."""
 

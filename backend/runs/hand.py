@@ -6,6 +6,7 @@ done by ``tick`` on the bench's own time, and a refusal is announced as a fact.
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from backend.core.faults import FaultError, RefusedError
 from backend.devices.guarded import GuardedArm, GuardedGripper
 from backend.devices.interlock import Interlock
 from backend.devices.jog import Around, Jog
-from backend.devices.protocols import Motion
+from backend.devices.protocols import Motion, RobotMode
 from backend.sensing.live import LiveSensing
 
 REFERENCE_FRAMES = 10
@@ -46,12 +47,23 @@ class Hand:
         self._publish = publish
         self._orders: deque[tuple[Callable[[], str], float]] = deque(maxlen=WAITING)
         self._grip: Motion | None = None
+        self._switch: threading.Thread | None = None
         self.jog = Jog(reach.arm, interlock, around, self._refused)
 
     @property
     def active(self) -> bool:
         """Whether something moves by hand."""
-        return self.jog.active or self._gripping
+        return self.jog.active or self._gripping or self.switching
+
+    @property
+    def switching(self) -> bool:
+        """Whether the servo is being switched."""
+        return self._switch is not None and self._switch.is_alive()
+
+    @property
+    def powered(self) -> bool:
+        """Whether the motors of the arm are on."""
+        return self._reach.arm.status().robot_mode is not RobotMode.SERVO_OFF
 
     @property
     def holding(self) -> bool:
@@ -89,6 +101,19 @@ class Hand:
         if status.holding:
             text = f"Opened by the operator on a held piece at {press_n:.1f} N of press force."
             self._publish(Said(self._around.now_s(), text))
+
+    def servo(self, on: bool) -> None:
+        """Switch the motors, on a thread of its own; raises ``RefusedError``."""
+        if self._around.busy():
+            raise RefusedError("BUSY", "A run is going on: cancel it first.")
+        if self.switching:
+            raise RefusedError("MOVING", "The servo is being switched.")
+        if on:
+            self._interlock.refuse_latched()
+        self._switch = threading.Thread(
+            target=self._switch_servo, args=(on,), name="servo", daemon=True
+        )
+        self._switch.start()
 
     def zero_wrench(self) -> None:
         """Take the tare anew, at rest in air."""
@@ -160,6 +185,16 @@ class Hand:
             return
         if abs(self._around.press_n()) <= self._interlock.limits.contact_n:
             self._interlock.recovering = False
+
+    def _switch_servo(self, on: bool) -> None:
+        try:
+            self._reach.arm.servo(on)
+        except FaultError as error:
+            self._refused(RefusedError(error.fault.code, error.fault.what))
+        except RefusedError as error:
+            self._refused(error)
+        else:
+            self._publish(Said(self._around.now_s(), f"The servo is {'on' if on else 'off'}."))
 
     def _refused(self, error: RefusedError) -> None:
         self._publish(Refused(self._around.now_s(), error.reason, error.detail))

@@ -42,7 +42,7 @@ def desk(qapp, qtbot, tmp_path):
     main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
     main.attach(SteppedSession(session))
     main.go("operate")
-    with qtbot.waitActive(main.window, timeout=5000):
+    with qtbot.waitActive(main.window, timeout=60_000):
         main.window.show()
         main.window.activateWindow()
     turn(main, session, 0.1)
@@ -389,6 +389,41 @@ def test_the_bench_is_set_anew_with_another_piece(desk):
     QTest.mouseRelease(page.jog.pads["+z"], Qt.MouseButton.LeftButton)
 
 
+def test_the_servo_goes_off_at_a_press_and_on_after_a_second(desk, qtbot):
+    main, session = desk
+    servo, pad = main.bar.servo, main.workspaces["operate"].page.jog.pads["+z"]
+    qtbot.waitUntil(lambda: main.pump.tick() or servo.text() == "on", timeout=20_000)
+    servo.click()
+    switched(main, session, "off", qtbot)
+    assert main.bar.pill.state.word == "NOT READY"
+    assert not pad.isEnabled()
+    main.actions.action("operate.probe").trigger()
+    assert session.status().state is RunState.IDLE
+    servo.click()
+    turn(main, session, 0.1)
+    assert not session.hand.powered, "a press alone switches nothing on"
+    QTest.mousePress(servo, Qt.MouseButton.LeftButton)
+    servo._held.timeout.emit()
+    QTest.mouseRelease(servo, Qt.MouseButton.LeftButton)
+    switched(main, session, "on", qtbot)
+    assert pad.isEnabled()
+    main.stop()
+    servo.click()
+    switched(main, session, "off", qtbot)
+    session.hand._switch.join()
+    QTest.mousePress(servo, Qt.MouseButton.LeftButton)
+    servo._held.timeout.emit()
+    QTest.mouseRelease(servo, Qt.MouseButton.LeftButton)
+    assert not session.hand.powered, "not while the stop is latched"
+    assert "STOPPED" in main.cards.codes
+
+
+def switched(main, session, word, qtbot):
+    session.hand._switch.join()
+    qtbot.waitUntil(lambda: main.pump.tick() or main.bar.servo.text() == word, timeout=20_000)
+    turn(main, session, 0.1)
+
+
 def test_closing_asks_while_a_piece_is_held(desk):
     main, session = desk
     main.workspaces["operate"].page.gripper.grip.click()
@@ -396,7 +431,8 @@ def test_closing_asks_while_a_piece_is_held(desk):
     main.window.close()
     assert main.window.isVisible()
     answers = {b.text(): b for b in main.cards.findChildren(QPushButton)}
-    answers["Stop and close"].click()
+    assert "Keep running" not in answers, "nothing runs"
+    answers["Close, keep the grip"].click()
     assert not main.window.isVisible()
     assert session.devices["gripper"].status().holding, "closing never opens the gripper"
 

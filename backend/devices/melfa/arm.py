@@ -20,14 +20,15 @@ from backend.core.flow import FloatArray, Pose
 from backend.core.stream import SampleStream
 from backend.core.turning import UNTURNED, refuse_turned, turn_of, vector_of
 from backend.devices.melfa.console import Console
+from backend.devices.melfa.fields import raw_fields
 from backend.devices.melfa.guard import JOINT_RANGES
-from backend.devices.melfa.link_faults import NOTHING_MOVED, link_fault
+from backend.devices.melfa.link_faults import NO_WRENCH, NOT_CONNECTED, link_fault
 from backend.devices.melfa.motion import ARM, STOPPED, ArmPress
 from backend.devices.melfa.orders import Orders
 from backend.devices.melfa.stream import END, Inbox, Phase, StreamCore
 from backend.devices.melfa.watch import Watch
 from backend.devices.melfa.wires import Wires
-from backend.devices.motion import CommandedMotion
+from backend.devices.motion import CommandedMotion, servo_off_fault
 from backend.devices.protocols import (
     STILL,
     TURN_RAD_S,
@@ -76,6 +77,7 @@ class MelfaArm:
         self._state = DeviceState.CLOSED
         self._identity: Identity | None = None
         self._received = 0
+        self._powered = False
         self._arrivals: deque[float] = deque(maxlen=512)
         self.fault: Fault | None = None
 
@@ -110,27 +112,7 @@ class MelfaArm:
 
     def describe(self) -> Mapping[str, str | float]:
         """Return the commanded place and the counts of the link."""
-        counts, times = self._core.replies.counts, self._wires.times
-        x, y, z = self._core.command_mm.tolist()
-        return {
-            "kind": "melfa",
-            "host": self._settings.host,
-            "stream": self._core.phase.value,
-            "x_mm": x,
-            "y_mm": y,
-            "z_mm": z,
-            "holds": self._core.holds,
-            "refused": counts.refused,
-            "repeated": counts.repeated,
-            "old": counts.old,
-            "skipped": counts.skipped,
-            "controller_missed": self._core.timeouts,
-            "bad_replies": self._wires.bad_replies,
-            "late_cycles": times.late,
-            "latest_ms": 1e3 * times.latest_s,
-            "realtime": "yes" if times.realtime else "no",
-            "time_limit": "none" if self._console.unlimited else "set",
-        }
+        return raw_fields(self._core, self._wires, self._settings, self._console)
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
         """Go through the start-up to an open stream; ``timeout_s`` is the least for each step."""
@@ -149,6 +131,7 @@ class MelfaArm:
             self._wires.open(self._cycle, self._lost)
             self.steps.reached("reach")
             self._identity = self._console.start_up(self.steps.reached)
+            self._powered = True
             self._open_stream()
             self.steps.reached("first sample")
         except FaultError as error:
@@ -177,10 +160,29 @@ class MelfaArm:
         self._wires.pause(0.1)
         self._give_up()
 
-    def _give_up(self) -> None:
+    def servo(self, on: bool) -> None:
+        """Switch the motors; the place is told all the while. May take seconds."""
+        if self._state is not DeviceState.READY:
+            raise FaultError(self.fault or NOT_CONNECTED)
+        if on:
+            self._stopped.clear()
+            self._console.servo_on()
+            self._powered = True
+            return
+        self._powered = False
+        with self._lock:
+            self._core.halt()
+        self._wires.pause(0.1)
+        self._end_stream()
+        self._console.servo_off()
+
+    def _end_stream(self) -> None:
         with self._lock:
             self._core.stop()
         self._wires.pause(WAIT_S)
+
+    def _give_up(self) -> None:
+        self._end_stream()
         with contextlib.suppress(FaultError):
             self._console.shut_down()
         self._watch = None
@@ -387,23 +389,10 @@ class MelfaArm:
         """Raise ``FaultError`` unless ready; after a stop the stream is opened again."""
         if self._state is not DeviceState.READY:
             raise FaultError(self.fault or NOT_CONNECTED)
+        if not self._powered:
+            # The program of the stream would switch them on.
+            raise FaultError(servo_off_fault(ARM))
         if self._core.phase is not Phase.OPEN:
             self._stopped.clear()
             self._console.run_stream()
             self._open_stream()
-
-
-NOT_CONNECTED = Fault(
-    "NOT-CONNECTED",
-    "The device 'arm' is not connected.",
-    NOTHING_MOVED,
-    "Connect the device first.",
-    ARM,
-)
-NO_WRENCH = Fault(
-    "FT-STALE",
-    "No force was measured within the last second.",
-    NOTHING_MOVED,
-    "Check the force/torque sensor, then press again.",
-    ARM,
-)

@@ -63,7 +63,7 @@ class Console:
             self._require_no_error()
             self._require_time_limit()
             self._go_on()
-            self._servo_on()
+            self.servo_on()
             self._go_on()
             self.run_stream()
             reached("configure")
@@ -120,7 +120,8 @@ class Console:
         if self.unlimited and not self._settings.mxt.allow_unlimited:
             raise FaultError(unlimited_fault())
 
-    def _servo_on(self) -> None:
+    def servo_on(self) -> None:
+        """Switch the motors on and wait until they are; raises ``FaultError``."""
         self.ask("CNTL", "ON")
         self.ask("OVRD=", str(self._settings.override_start))
         self.ask("SRV", "ON")
@@ -138,12 +139,16 @@ class Console:
     # -- shutdown ---------------------------------------------------------------------------------
 
     def shut_down(self) -> None:
-        """Stop, wait until nothing runs, switch off, give the right back; the stream has ended."""
+        """Switch off, give the right back; the stream has ended."""
+        self.servo_off()
+        self.ask("CNTL", "OFF")
+        self.ask("CLOSE")
+
+    def servo_off(self) -> None:
+        """Stop, wait until nothing runs, switch the motors off; the stream has ended."""
         self.ask("STOP")
         self._wait_for_end()
         self.ask("SRV", "OFF")
-        self.ask("CNTL", "OFF")
-        self.ask("CLOSE")
 
     def _wait_for_end(self) -> None:
         waited_s = 0.0

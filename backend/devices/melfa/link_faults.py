@@ -21,6 +21,21 @@ START = Fault(
     ARM,
 )
 
+NOT_CONNECTED = Fault(
+    "NOT-CONNECTED",
+    "The device 'arm' is not connected.",
+    NOTHING_MOVED,
+    "Connect the device first.",
+    ARM,
+)
+NO_WRENCH = Fault(
+    "FT-STALE",
+    "No force was measured within the last second.",
+    NOTHING_MOVED,
+    "Check the force/torque sensor, then press again.",
+    ARM,
+)
+
 
 def lost_fault(cycles: int) -> Fault:
     """Return the fault of a stream whose replies stayed away."""

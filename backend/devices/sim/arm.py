@@ -10,12 +10,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from backend.core.faults import Fault
+from backend.core.faults import Fault, FaultError
 from backend.core.flow import FloatArray, Pose
 from backend.core.stream import SampleStream
 from backend.core.turning import UNTURNED, refuse_turned, turn_of, vector_of
 from backend.devices.melfa.guard import JOINT_RANGES
-from backend.devices.motion import CommandedMotion, replaced_fault, stopped_fault
+from backend.devices.motion import CommandedMotion, replaced_fault, servo_off_fault, stopped_fault
 from backend.devices.protocols import (
     STILL,
     TURN_RAD_S,
@@ -62,6 +62,7 @@ class SimArm(SimDevice):
         self._lock = threading.Lock()
         self._motion: CommandedMotion | None = None
         self._program: Program | None = None
+        self._powered = True
 
     @property
     def poses(self) -> SampleStream:
@@ -83,7 +84,24 @@ class SimArm(SimDevice):
         if not self._connection.ready:
             return ArmStatus(RobotMode.DISCONNECTED, SafetyMode.UNKNOWN, 0.0, 0)
         mode = RobotMode.MOVING if self._world.drive.moving else RobotMode.READY
-        return ArmStatus(mode, SafetyMode.NORMAL, 1.0, 0)
+        return ArmStatus(mode if self._powered else RobotMode.SERVO_OFF, SafetyMode.NORMAL, 1.0, 0)
+
+    def connect(self, timeout_s: float, cancel: threading.Event) -> None:
+        """Connect at once, with the motors on."""
+        super().connect(timeout_s, cancel)
+        self._powered = True
+
+    def servo(self, on: bool) -> None:
+        """Switch the motors at once; off ends the motion under way."""
+        self._connection.require_ready()
+        if not on:
+            self.stop()
+        self._powered = on
+
+    def _require_power(self) -> None:
+        self._connection.require_ready()
+        if not self._powered:
+            raise FaultError(servo_off_fault(self.name))
 
     def pose(self, max_age_s: float) -> Pose:
         """Return the measured pose; raises ``StaleSampleError`` if it is older."""
@@ -96,7 +114,7 @@ class SimArm(SimDevice):
         self, target: Pose, speed_mm_s: float, turn_rad_s: float = TURN_RAD_S
     ) -> CommandedMotion:
         """Move straight to ``target``, turning on the way; ValueError for a senseless number."""
-        self._connection.require_ready()
+        self._require_power()
         goal, turn = np.array([target.x_mm, target.y_mm, target.z_mm]), turn_of(target)
         speeds = (speed_mm_s, turn_rad_s)
         if not (np.isfinite([*goal, *turn.ravel()]).all() and all(0.0 < v < INF for v in speeds)):
@@ -117,7 +135,7 @@ class SimArm(SimDevice):
         self, velocity_mm_s: Vector, for_s: float, turn_rad_s: Vector = STILL
     ) -> CommandedMotion:
         """Follow a velocity and a turn for ``for_s``; a renewal goes on without a jerk."""
-        self._connection.require_ready()
+        self._require_power()
         velocity, turning = np.array(velocity_mm_s), np.array(turn_rad_s)
         if not (np.isfinite([*velocity, *turning]).all() and 0.0 < for_s < INF):
             raise ValueError("velocity and time must be finite, the time positive")
@@ -157,7 +175,7 @@ class SimArm(SimDevice):
 
     def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> CommandedMotion:
         """Turn the joints for ``for_s``; a renewal goes on without a jerk."""
-        self._connection.require_ready()
+        self._require_power()
         speeds = np.array(speeds_rad_s)
         if not (speeds.shape == (6,) and np.isfinite(speeds).all() and 0.0 < for_s < INF):
             raise ValueError("six speeds and the time must be finite, the time positive")
@@ -170,7 +188,7 @@ class SimArm(SimDevice):
 
     def move_joints(self, target_rad: Joints, speed_rad_s: float) -> CommandedMotion:
         """Turn all joints to ``target_rad``; none goes faster than ``speed_rad_s``."""
-        self._connection.require_ready()
+        self._require_power()
         target = np.array(target_rad)
         if not (target.shape == (6,) and np.isfinite(target).all() and 0.0 < speed_rad_s < INF):
             raise ValueError("six joints and the speed must be finite, the speed positive")
@@ -185,7 +203,7 @@ class SimArm(SimDevice):
 
     def press(self, command: PressCommand) -> SimPressMotion:
         """Press compliantly from here straight down; refused while the hand is turned."""
-        self._connection.require_ready()
+        self._require_power()
         refuse_turned(self._world.drive.turn)
         law = PressLaw(
             depth_mm=command.depth_mm,
@@ -212,7 +230,7 @@ class SimArm(SimDevice):
 
     def unload(self, force_n: float, speed_mm_s: float) -> CommandedMotion:
         """Rise until the press force is ``force_n``."""
-        self._connection.require_ready()
+        self._require_power()
         sent = {"force_n": force_n, "speed_mm_s": speed_mm_s}
         with self._lock:
             return self._take(CommandedMotion(sent), self._world.unload(force_n, speed_mm_s))

@@ -132,7 +132,7 @@ def test_stop_comes_through_from_another_thread(bench: DevicesUnderTest) -> None
     bench.rest(0.2)
     thread = threading.Thread(target=bench.arm.stop)
     thread.start()
-    thread.join(5.0)
+    thread.join(60.0)
     assert motion.done
     bench.rest(1.0)
     assert bench.arm.pose(0.1).z_mm < here.z_mm + 10.0
@@ -358,3 +358,27 @@ def test_a_turn_without_a_number_is_refused(bench: DevicesUnderTest, bad: float)
         bench.arm.jog_joints((bad,) * 6, 0.1)
     with pytest.raises(ValueError, match="finite"):
         bench.arm.move_joints((0.0,) * 6, bad)
+
+
+@EVERY
+def test_servo_off_ends_motion_and_moves_nothing_until_it_is_on(bench: DevicesUnderTest) -> None:
+    bench.connect()
+    bench.rest(0.1)
+    here = bench.arm.pose(0.1)
+    motion = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 60.0), 20.0)
+    bench.rest(0.3)
+    bench.arm.servo(False)
+    assert motion.done
+    bench.rest(0.3)
+    assert bench.arm.status().robot_mode is RobotMode.SERVO_OFF
+    still = bench.arm.pose(0.2)
+    with pytest.raises(FaultError):
+        bench.finish(bench.arm.move_to(here, 20.0))
+    bench.rest(0.2)
+    assert bench.arm.pose(0.2).z_mm == pytest.approx(still.z_mm, abs=0.02)
+    bench.arm.servo(True)
+    bench.rest(0.2)
+    back = bench.arm.move_to(here, 20.0)
+    bench.finish(back)
+    back.result()
+    assert bench.arm.status().robot_mode is RobotMode.READY

@@ -239,6 +239,9 @@ class LabelPage(QWidget):
 
     def close_lines(self) -> None:
         """Hide what was to be typed: it was said elsewhere."""
+        if self.entry.hasFocus() or self.words.hasFocus():
+            # Else the next control would have the keyboard.
+            self.setFocus()
         for line in (self.caption, self.entry, self.words):
             line.hide()
 

@@ -144,6 +144,11 @@ def test_lines_to_type_have_captions_and_one_takes_the_number_of_a_place(desk):
     assert "name" in page.caption.text()
     desk.do(KEY.Key_Escape)
     assert not page.caption.isVisible()
+    desk.press(KEY.Key_U, CTRL)
+    desk.workspace.be("Ann")  # said in the other half meanwhile
+    desk.settle()
+    assert not page.caption.isVisible()
+    assert QApplication.focusWidget() is page
     desk.press(KEY.Key_3)
     desk.settle()
     assert "x,y in mm" in page.caption.text()

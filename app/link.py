@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
+from backend.calibration.store import CalibrationStore
 from backend.catalogue.dataset import Dataset
 from backend.config.bench_facts import BenchFacts
 from backend.core.facts import Decision
@@ -54,6 +55,8 @@ class Link(Protocol):
     catalogue: Catalogue
     dataset: Dataset | None
     """Takes what is collected; set while no run goes on."""
+    calibrations: CalibrationStore | None
+    """What the bench knows about itself."""
 
     @property
     def pace(self) -> float:

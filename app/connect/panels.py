@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from PySide6.QtWidgets import QWidget
 
+from app.calibrate.presenter import CalibratePresenter
 from app.connect.limits import LimitsPresenter
 from app.connect.presenter import ConnectPresenter
 from app.link import Link
 from widgets.fault_cards import FaultCards
+from widgets.theme import Theme
 
 
 class BenchPanels:
     """Made with the bench; devices that are connected by hand are asked for at once."""
 
-    def __init__(self, link: Link, window: QWidget, cards: FaultCards) -> None:
+    def __init__(self, link: Link, theme: Theme, window: QWidget, cards: FaultCards) -> None:
+        self.calibrate = CalibratePresenter(link, theme, window, cards)
         self.limits = LimitsPresenter(link, window, cards)
         self.connect: ConnectPresenter | None = None
         if link.connection is not None:
@@ -28,5 +31,6 @@ class BenchPanels:
 
     def draw(self) -> None:
         """Follow the bench."""
+        self.calibrate.draw()
         if self.connect is not None:
             self.connect.draw()

@@ -104,6 +104,7 @@ class StandInBench:
     name, limits_source, connection = "", "the program itself", None
     hand = None
     dataset = None
+    calibrations = None
 
     def __init__(self):
         self.hub, self.interlock, self.catalogue = Hub(), Interlock(), load_catalogue()

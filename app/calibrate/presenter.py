@@ -1,0 +1,260 @@
+"""Presenter of the calibration wizard: follows a run, shows what it found, keeps what is taken."""
+
+from __future__ import annotations
+
+import getpass
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+from typing import cast
+
+from PySide6.QtWidgets import QWidget
+
+from app.activity import busy, why_no_run
+from app.calibrate.place_form import PlaceForm
+from app.calibrate.sheet import CalibrateSheet, Intents, SheetLook
+from app.calibrate.words import COUNTS, NAMES, STEPS, days_words, value_words
+from app.cards import refusal_card
+from app.link import Link
+from backend.calibration.kinds import KINDS, WHATS, What
+from backend.calibration.store import Standing
+from backend.core.facts import (
+    CalibrationMeasured,
+    Fact,
+    HandOverAwaited,
+    Progress,
+    RunFinished,
+    RunStarted,
+)
+from backend.core.faults import InputError, RefusedError, StaleSampleError
+from backend.core.flow import FINGERS
+from backend.devices.protocols import Arm
+from backend.runs.calibrated import device_names
+from backend.runs.words import hand_over
+from widgets.fault_cards import CardText, FaultCards
+from widgets.freshness import Age
+from widgets.theme import Theme
+
+PERIOD_S = 0.1
+STANDINGS_S = 5.0
+FRESH_S = 0.5
+NO_STORE = "This bench keeps no calibrations"
+
+
+class CalibratePresenter:
+    """One sheet per bench; a run that another page began is only waited for."""
+
+    def __init__(
+        self,
+        link: Link,
+        theme: Theme,
+        window: QWidget,
+        cards: FaultCards,
+        person: Callable[[], str] = getpass.getuser,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._link, self._theme, self._window, self._cards = link, theme, window, cards
+        self._person, self._now_s = person, now_s
+        self.sheet: CalibrateSheet | None = None
+        self._chosen: What = WHATS[0]
+        self._running: What | None = None
+        self._progress = Progress(0.0, 0, 1, "")
+        self._measured: dict[What, CalibrationMeasured] = {}
+        self._said: dict[What, str] = {}
+        self._standings: dict[What, Standing] = {}
+        self._drawn_s = self._read_s = float("-inf")
+
+    def open(self) -> None:
+        """Show the wizard."""
+        if self.sheet is None:
+            catalogue = self._link.catalogue
+            self.sheet = CalibrateSheet(
+                self._window,
+                self._theme,
+                [KINDS[what].title for what in WHATS],
+                PlaceForm(catalogue.tops, catalogue.bottoms),
+                Intents(self._choose, self._measure, self._link.engine.cancel, self._accept),
+            )
+        self._read_s = float("-inf")
+        self.draw(at_once=True)
+        self.sheet.show()
+        self.sheet.raise_()
+
+    def take(self, fact: Fact) -> None:
+        """Follow a calibration, whoever began it."""
+        if isinstance(fact, RunStarted):
+            known = {str(what): what for what in WHATS}
+            self._running = known.get(fact.strategy) if fact.activity == "calibrate" else None
+            self._progress = Progress(fact.t_s, 0, 1, "")
+            return
+        if self._running is None:
+            return
+        if isinstance(fact, Progress):
+            self._progress = fact
+        elif isinstance(fact, CalibrationMeasured):
+            self._measured[self._running] = fact
+            self._said.pop(self._running, None)
+        elif isinstance(fact, HandOverAwaited) and self.sheet is not None:
+            answer = self._link.answer
+            self.sheet.question.ask(hand_over(fact), "End the run", "Done", lambda: answer(True))
+        elif isinstance(fact, RunFinished):
+            if fact.ending != "finished":
+                self._said[self._running] = fact.reason
+            self._running = None
+            if self.sheet is not None:
+                self.sheet.question.withdraw()
+
+    def draw(self, *, at_once: bool = False) -> None:
+        """Show how it stands, ten times a second while the wizard is open."""
+        sheet, now_s = self.sheet, self._now_s()
+        if sheet is None or not (at_once or sheet.isVisible()):
+            return
+        if not at_once and now_s - self._drawn_s < PERIOD_S:
+            return
+        self._drawn_s = now_s
+        if now_s - self._read_s >= STANDINGS_S:
+            self._read_standings()
+        sheet.show_look(self._look())
+        if self._chosen == "camera":
+            self._draw_fingers(sheet)
+
+    # -- orders -----------------------------------------------------------------------------------
+
+    def _choose(self, index: int) -> None:
+        self._chosen = WHATS[index]
+        self.draw(at_once=True)
+
+    def _measure(self) -> None:
+        if self.sheet is None:
+            return
+        try:
+            self._link.start(self.sheet.form.request(self._chosen))
+        except RefusedError as error:
+            self._cards.show_card(refusal_card(error, _clock()))
+            return
+        except InputError as error:
+            self._show_bad(error)
+            return
+        self._measured.pop(self._chosen, None)
+        self._said.pop(self._chosen, None)
+        self._cards.pass_on()
+        self.draw(at_once=True)
+
+    def _accept(self) -> None:
+        found, store = self._measured.get(self._chosen), self._link.calibrations
+        if found is None or store is None:
+            return
+        try:
+            path = store.accept(found, device_names(self._link.devices), self._person())
+        except RefusedError as error:
+            self._cards.show_card(refusal_card(error, _clock()))
+        except InputError as error:
+            self._show_bad(error)
+        else:
+            del self._measured[self._chosen]
+            self._said[self._chosen] = f"Accepted: {path.name}"
+            self._read_standings()
+            self.draw(at_once=True)
+
+    def _show_bad(self, error: InputError) -> None:
+        where = f"In {error.where}."
+        self._cards.show_card(
+            CardText("CALIBRATE", error.what, where, error.fix, reset=False, at=_clock())
+        )
+
+    # -- showing ----------------------------------------------------------------------------------
+
+    def _read_standings(self) -> None:
+        self._read_s, store = self._now_s(), self._link.calibrations
+        if store is not None:
+            names = device_names(self._link.devices)
+            self._standings = {what: store.standing(what, names) for what in WHATS}
+
+    def _look(self) -> SheetLook:
+        what, active = self._chosen, busy(self._link)
+        found = None if self._running == what else self._measured.get(what)
+        mine = self._running == what
+        why = NO_STORE if self._link.calibrations is None else why_no_run(self._link)
+        return SheetLook(
+            rows=tuple(self._row(each) for each in WHATS),
+            chosen=WHATS.index(what),
+            title=KINDS[what].title,
+            steps=STEPS[what],
+            step=1 if mine else 2 if found is not None else 0,
+            takes_piece=self.sheet is not None and self.sheet.form.request(what).takes_piece,
+            shows_fingers=what == "camera",
+            live=self._live(),
+            done=self._progress.done if mine else 0,
+            total=self._progress.total if mine else 1,
+            progress=self._progress.text if mine else "",
+            values=() if found is None else tuple(
+                (NAMES.get(name, name), value_words(value, sigma, unit))
+                for name, value, sigma, unit in zip(
+                    found.names, found.values, found.sigmas, found.units, strict=True
+                )
+            ),
+            residuals=() if found is None else found.residuals,
+            limit=1.0 if found is None else found.limit,
+            unit="" if found is None else found.unit,
+            kind=COUNTS[what],
+            figure=_figure(found),
+            within=None if found is None else found.residual <= found.limit,
+            note=self._note(found),
+            note_bad=found is not None and bool(found.obstacle),
+            running=mine,
+            busy=active,
+            can_accept=found is not None and found.acceptable and not active,
+            why="A run is going on" if active else why,
+        )  # fmt: skip
+
+    def _note(self, found: CalibrationMeasured | None) -> str:
+        if found is None:
+            return self._said.get(self._chosen, "")
+        return " ".join(text for text in (found.obstacle, found.note) if text)
+
+    def _row(self, what: What) -> tuple[str, bool]:
+        standing = self._standings.get(what)
+        if standing is None:
+            return NO_STORE, False
+        if standing.condition != "valid" or standing.record is None:
+            return standing.why[:1].upper() + standing.why[1:], False
+        file = standing.record.file
+        left = days_words(standing.record.days_left(datetime.now(UTC)))
+        return f"{file.residual:.2g} of {file.limit:g} {file.unit}, holds {left}", True
+
+    def _live(self) -> str:
+        minus, now_s = "\N{MINUS SIGN}", self._link.clock_s()
+        window = self._link.wrench.window(now_s - 0.1, now_s)
+        if not len(window.t_s):
+            return "The wrist sensor is silent."
+        force, moment = window.values[:, :3].mean(axis=0), window.values[:, 3:].mean(axis=0)
+        text = "F " + "  ".join(f"{v:+.2f}" for v in force) + " N     T "
+        text += "  ".join(f"{v:+.3f}" for v in moment) + " N\N{MIDDLE DOT}m"
+        arm = self._link.devices.get("arm")
+        try:
+            _, at = cast("Arm", arm).poses.latest(now_s, 1.0)
+        except (StaleSampleError, AttributeError):
+            return text.replace("-", minus)
+        text += "     G " + "  ".join(f"{v:.1f}" for v in at) + " mm"
+        return text.replace("-", minus)
+
+    def _draw_fingers(self, sheet: CalibrateSheet) -> None:
+        now_s = self._link.clock_s()
+        for finger in FINGERS:
+            frame, view = self._link.frames[finger].newest(), sheet.fingers[finger]
+            if frame is None:
+                continue
+            age_s = now_s - frame.t_s
+            view.show_age(Age.FRESH if age_s < FRESH_S else Age.STALE, age_s, "No new picture.")
+            view.show_frame(frame, self._link.fields[finger].newest())
+
+
+def _figure(found: CalibrationMeasured | None) -> str:
+    if found is None:
+        return ""
+    side = "within" if found.residual <= found.limit else "beyond"
+    return f"Residual {found.residual:.2g} {found.unit}: {side} the limit of {found.limit:g}."
+
+
+def _clock() -> str:
+    return f"{datetime.now():%H:%M:%S}"

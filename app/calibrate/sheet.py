@@ -1,0 +1,253 @@
+"""The calibration wizard as a window beside the bench: never modal, STOP stays at hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from PySide6.QtCore import QSize, Qt
+from PySide6.QtWidgets import (
+    QButtonGroup,
+    QDialog,
+    QFrame,
+    QGridLayout,
+    QHBoxLayout,
+    QProgressBar,
+    QPushButton,
+    QScrollArea,
+    QVBoxLayout,
+    QWidget,
+)
+
+from app.calibrate.place_form import PlaceForm
+from app.calibrate.residual_bars import ResidualBars
+from app.connect.question import QuestionRow
+from backend.core.flow import FINGERS, Finger
+from widgets.panel import Captioned, label, rule, set_property
+from widgets.tactile_view import LEAST, TactileView
+from widgets.theme import Theme
+
+MOST_VALUES = 10
+VALUE_COLUMNS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class SheetLook:
+    """Everything that changes. ``rows``: (condition, good) per calibration; ``chosen`` of them.
+
+    ``steps`` with the number of the one under way (-1: none); ``figure`` is the residual in words;
+    ``within`` its limit, None while there is none; ``kind`` says what of the residuals counts.
+    ``why``: what stands against measuring, "" if nothing does.
+    """
+
+    rows: tuple[tuple[str, bool], ...]
+    chosen: int
+    title: str
+    steps: tuple[str, ...]
+    step: int
+    takes_piece: bool
+    shows_fingers: bool
+    live: str
+    done: int
+    total: int
+    progress: str
+    values: tuple[tuple[str, str], ...]
+    residuals: tuple[float, ...]
+    limit: float
+    unit: str
+    kind: str
+    figure: str
+    within: bool | None
+    note: str
+    note_bad: bool
+    running: bool
+    busy: bool
+    can_accept: bool
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Intents:
+    """What the operator can ask for."""
+
+    choose: Callable[[int], None]
+    measure: Callable[[], None]
+    cancel: Callable[[], None]
+    accept: Callable[[], None]
+
+
+class CalibrateSheet(QDialog):
+    """List on the left; steps, live values, residual and buttons of the chosen one on the right."""
+
+    def __init__(
+        self, parent: QWidget, theme: Theme, titles: Sequence[str], form: PlaceForm,
+        intents: Intents,
+    ) -> None:  # fmt: skip
+        super().__init__(parent)
+        self.setModal(False)
+        self.setWindowTitle("Calibrate")
+        self._intents, self.form = intents, form
+        self._shown: SheetLook | None = None
+        self.choices = [QPushButton(title) for title in titles]
+        self.conditions = [label("", "small") for _ in titles]
+        self._group = QButtonGroup(self)
+        self.title = label("", "head")
+        self.steps = [label("", wrap=True) for _ in range(3)]
+        self.live = label("", "muted")
+        self.fingers: dict[Finger, TactileView] = {f: TactileView(theme, f) for f in FINGERS}
+        self.progress = QProgressBar()
+        self.bars = ResidualBars(theme)
+        self.names = [label("", "muted") for _ in range(MOST_VALUES)]
+        self.values = [label("") for _ in range(MOST_VALUES)]
+        self.figure, self.note = label("", "title", wrap=True), label("", wrap=True)
+        self.question = QuestionRow()
+        self.measure, self.cancel = QPushButton("Measure"), QPushButton("Cancel")
+        self.accept_it, self._close = QPushButton("Accept"), QPushButton("Close")
+        self._pictures = QWidget()
+        self._arrange(parent)
+        self._wire()
+
+    def show_look(self, look: SheetLook) -> None:
+        """Show how it stands now."""
+        before, self._shown = self._shown, look
+        if look == before:
+            return
+        for index, (words, good) in enumerate(look.rows):
+            self.conditions[index].setText(words)
+            set_property(self.conditions[index], "tone", "good" if good else "bad")
+        self.choices[look.chosen].setChecked(True)
+        self.title.setText(look.title)
+        for index, step in enumerate(self.steps):
+            step.setText(f"{index + 1}  {look.steps[index]}")
+            set_property(step, "role", "title" if index == look.step else "")
+        self.form.setVisible(look.takes_piece)
+        self._pictures.setVisible(look.shows_fingers)
+        self.live.setText(look.live)
+        self.progress.setVisible(look.running)
+        self.progress.setMaximum(max(look.total, 1))
+        self.progress.setValue(look.done)
+        self.progress.setFormat(look.progress)
+        self._show_values(look)
+        if before is None or before.residuals != look.residuals:
+            self.bars.show_residuals(look.residuals, look.limit, look.unit, look.kind)
+        self._show_buttons(look)
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _show_values(self, look: SheetLook) -> None:
+        for index in range(MOST_VALUES):
+            name, value = look.values[index] if index < len(look.values) else ("", "")
+            for widget, text in ((self.names[index], name), (self.values[index], value)):
+                widget.setText(text)
+                widget.setVisible(bool(name))
+        self.figure.setText(look.figure)
+        tone = "" if look.within is None else "good" if look.within else "bad"
+        set_property(self.figure, "tone", tone)
+        self.note.setText(look.note)
+        set_property(self.note, "tone", "bad" if look.note_bad else "")
+
+    def _show_buttons(self, look: SheetLook) -> None:
+        self.measure.setText("Measure" if look.within is None else "Repeat")
+        self.measure.setEnabled(not look.busy and not look.why)
+        self.measure.setToolTip(look.why or "The arm moves. STOP works as ever.")
+        self.cancel.setEnabled(look.busy)
+        self.accept_it.setEnabled(look.can_accept)
+        self.form.setEnabled(not look.busy)
+        for choice in self.choices:
+            choice.setEnabled(not look.busy)
+
+    def _arrange(self, parent: QWidget) -> None:
+        scroll = QScrollArea()
+        scroll.setFrameShape(QFrame.Shape.NoFrame)
+        scroll.setWidgetResizable(True)
+        scroll.setWidget(self._right())
+        body = QHBoxLayout()
+        body.setSpacing(20)
+        body.addLayout(self._left())
+        body.addWidget(scroll, 1)
+        column = QVBoxLayout(self)
+        column.setContentsMargins(18, 14, 18, 14)
+        column.setSpacing(10)
+        column.addLayout(body, 1)
+        column.addWidget(rule())
+        column.addLayout(self._foot())
+        em = self.fontMetrics().height()
+        self.resize(QSize(54 * em, 38 * em).boundedTo(parent.size()))
+
+    def _left(self) -> QVBoxLayout:
+        left = QVBoxLayout()
+        left.setSpacing(4)
+        rows = zip(self.choices, self.conditions, strict=True)
+        for index, (choice, condition) in enumerate(rows):
+            choice.setCheckable(True)
+            choice.setAutoDefault(False)
+            self._group.addButton(choice, index)
+            left.addWidget(choice)
+            left.addWidget(condition)
+            left.addSpacing(6)
+        left.addStretch(1)
+        return left
+
+    def _right(self) -> QWidget:
+        page = QWidget()
+        right = QVBoxLayout(page)
+        right.setContentsMargins(0, 0, 8, 0)
+        right.setSpacing(8)
+        for widget in (self.title, *self.steps, self.form, self.live, self.progress):
+            right.addWidget(widget)
+        right.addWidget(self.question)
+        right.addLayout(self._seen(), 1)
+        right.addWidget(self.figure)
+        right.addWidget(self.note)
+        right.addLayout(self._value_grid())
+        return page
+
+    def _seen(self) -> QHBoxLayout:
+        """Return the pictures beside the residuals."""
+        pair = QHBoxLayout(self._pictures)
+        pair.setContentsMargins(0, 0, 0, 0)
+        for finger, view in self.fingers.items():
+            view.setFixedSize(LEAST)
+            pair.addWidget(Captioned(f"{finger.capitalize()} finger", view))
+        seen = QHBoxLayout()
+        seen.addWidget(self._pictures)
+        seen.addWidget(self.bars, 1)
+        return seen
+
+    def _value_grid(self) -> QGridLayout:
+        grid = QGridLayout()
+        grid.setHorizontalSpacing(16)
+        high = -(-MOST_VALUES // VALUE_COLUMNS)
+        for index, (name, value) in enumerate(zip(self.names, self.values, strict=True)):
+            at, side = index % high, 2 * (index // high)
+            grid.addWidget(name, at, side)
+            grid.addWidget(value, at, side + 1)
+            value.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        for side in range(VALUE_COLUMNS):
+            grid.setColumnStretch(2 * side + 1, 1)
+        return grid
+
+    def _foot(self) -> QHBoxLayout:
+        foot = QHBoxLayout()
+        self.measure.setProperty("role", "primary")
+        for button in (self.measure, self.cancel, self.accept_it):
+            foot.addWidget(button)
+        foot.addStretch(1)
+        foot.addWidget(self._close)
+        return foot
+
+    def _wire(self) -> None:
+        self.question.no.clicked.connect(self._intents.cancel)
+        self.cancel.setToolTip("End in an orderly way: lift, keep the piece")
+        self.accept_it.setToolTip("Keep the result as a file that expires")
+        for index, choice in enumerate(self.choices):
+            choice.clicked.connect(partial(self._intents.choose, index))
+        for button, act in (
+            (self.measure, self._intents.measure),
+            (self.cancel, self._intents.cancel),
+            (self.accept_it, self._intents.accept),
+            (self._close, self.close),
+        ):
+            button.setAutoDefault(False)
+            button.clicked.connect(lambda _checked=False, act=act: act())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from backend.calibration.kinds import WHATS
 from backend.calibration.store import CalibrationStore
 from backend.core.facts import EpisodeRecorded
 from backend.core.faults import RefusedError
+from backend.lab import LabChoice, lab_session
+from backend.rig.connection import Connection
 from backend.runs.calibrated import calibrations_for, device_names, payload_of
 from backend.runs.requests import (
     CalibrateRequest,
@@ -93,3 +96,21 @@ def test_a_sensor_that_was_changed_needs_a_new_payload(tmp_path) -> None:
     standing = store.standing("payload", {**names, "force_torque": other})
     assert standing.condition == "other device"
     session.close()
+
+
+def test_a_lab_of_hardware_refuses_to_stack_and_looks_beside_its_file(
+    tmp_path, monkeypatch
+) -> None:
+    template = files("resources") / "benches" / "lab.toml"
+    path = tmp_path / "lab.toml"
+    path.write_text(template.read_text(encoding="utf-8"))
+    monkeypatch.setattr(Connection, "missing", lambda _self: ())
+    session = lab_session(LabChoice(path), keep=Keep(None))
+    try:
+        with pytest.raises(RefusedError, match=r"Payload: never calibrated.*calibrate payload"):
+            session.start(StackRequest(mode="approve"))
+        filled(tmp_path / "calibrations", {})
+        session.start(StackRequest(mode="approve"))
+        assert session.engine.busy
+    finally:
+        session.close()

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -41,10 +42,23 @@ def _tree(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
+@cache
+def _nodes(path: Path) -> tuple[ast.AST, ...]:
+    return tuple(ast.walk(_tree(path)))
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _forgotten() -> Iterator[None]:
+    """Give back the trees of all files, 100 MB."""
+    yield
+    _tree.cache_clear()
+    _nodes.cache_clear()
+
+
 def _calls(path: Path, *names: str) -> list[ast.Call]:
     return [
         node
-        for node in ast.walk(_tree(path))
+        for node in _nodes(path)
         if isinstance(node, ast.Call)
         and (
             (isinstance(node.func, ast.Name) and node.func.id in names)
@@ -66,7 +80,7 @@ def test_a_function_has_at_most_60_lines():
     long = [
         f"{_name(path)}:{node.name}"
         for path in CODE
-        for node in ast.walk(_tree(path))
+        for node in _nodes(path)
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
         and node.end_lineno - node.lineno + 1 > 60
     ]
@@ -168,7 +182,7 @@ def test_what_is_imported_is_declared_and_nothing_else():
     declared = {module for name in names for module in IMPORTED_AS.get(name, {name})}
     imported = set()
     for path in CODE:
-        for node in ast.walk(_tree(path)):
+        for node in _nodes(path):
             if isinstance(node, ast.Import):
                 imported |= {alias.name.split(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module:

@@ -21,7 +21,7 @@ host = "localhost"
 driver = "dynpick"
 address = "socket://127.0.0.1:4000"
 [gelsight]
-by_id = "/tmp/bench/by-id"
+by_id = "/srv/bench/by-id"
 """
 HEAD = 'version = 1\nname = "Bench 2"\nkind = "{kind}"\n'
 
@@ -105,7 +105,7 @@ def test_an_emulated_bench_cannot_call_itself_hardware(tmp_path):
         ('host = "localhost"', 'host = "gripper.lab"', "wsg.host"),
         ("socket://127.0.0.1:4000", "/dev/ttyUSB0", "ft.address"),
         ("socket://127.0.0.1:4000", "udp://192.168.1.1:49152", "ft.address"),
-        ("/tmp/bench/by-id", "/dev/v4l/by-id", "gelsight.by_id"),
+        ("/srv/bench/by-id", "/dev/v4l/by-id", "gelsight.by_id"),
     ],
 )
 def test_no_real_device_is_called_emulated(tmp_path, given, real, key):

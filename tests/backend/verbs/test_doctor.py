@@ -19,7 +19,7 @@ def _run(monkeypatch, *checks, as_json=True):
     for look in doctor.EXAMINATIONS:
         look.__name__ = "check_something"
     stream = io.StringIO()
-    code = doctor.run(Namespace(dataset=None), Screen(json=as_json, stream=stream))
+    code = doctor.run(Namespace(bench=None, dataset=None), Screen(json=as_json, stream=stream))
     return code, stream.getvalue()
 
 
@@ -57,7 +57,7 @@ def test_a_damaged_installation_does_not_end_the_doctor(monkeypatch):
 
     monkeypatch.setattr(doctor, "EXAMINATIONS", (check_data_folder, lambda: GOOD))
     stream = io.StringIO()
-    assert doctor.run(Namespace(dataset=None), Screen(json=True, stream=stream)) == 1
+    assert doctor.run(Namespace(bench=None, dataset=None), Screen(json=True, stream=stream)) == 1
     first, second = json.loads(stream.getvalue())["checks"]
     assert (first["name"], first["ok"], first["fix"]) == ("data folder", False, "make setup")
     assert second["ok"]

@@ -103,7 +103,7 @@ class LabelPresenter:
         self.choose_queue(FINDING)
 
     def _take_queue(self, queue: Queue, stay: str) -> None:
-        self.walk.blind = self.sitting.opines
+        self._cover_rows()
         self.walk.begin(*queue, stay)
         self._show_present()
 
@@ -218,9 +218,13 @@ class LabelPresenter:
         now = self.present
         if now is not None:
             self._badges = self._badges_of(now)
+            self._cover_rows()
             hides = self.sitting.hides
             show.show_edit(self._page, now.item, now.edit, now.history, hidden=hides)
             self._show_saving()
+
+    def _cover_rows(self) -> None:
+        self.walk.cover(blind=self.sitting.opines, hides=self.sitting.hides)
 
     def _badges_of(self, now: Present) -> tuple[str, ...]:
         """Return the badge of a label, if other evidence differs notably."""

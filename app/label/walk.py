@@ -37,8 +37,7 @@ class Walk:
         self.badges: dict[str, tuple[str, ...]] = {}
         self.at = -1
         self.begun = False
-        self.blind = False
-        """Whether rows keep to themselves how far an episode has come."""
+        self._blind = self._hides = False
         self.answered: set[str] = set()
         """Episodes that were answered blind since the queue was read."""
 
@@ -89,6 +88,14 @@ class Walk:
         item = self._prefetch.get(uuid)
         return item.bytes if isinstance(item, LabelItem) else 0
 
+    def cover(self, *, blind: bool, hides: bool) -> None:
+        """Keep from sight how far episodes have come (``blind``), or other evidence (``hides``)."""
+        if (blind, hides) != (self._blind, self._hides):
+            self._blind, self._hides = blind, hides
+            self._rows.show_rows([self._row(uuid) for uuid in self.order])
+            if self.at >= 0:
+                self._rows.choose(self.at)
+
     def note(self, uuid: str, badges: tuple[str, ...]) -> None:
         """Take the badges of an episode, and show its row anew."""
         self.badges[uuid] = badges
@@ -103,9 +110,10 @@ class Walk:
 
     def _row(self, uuid: str) -> LabelRow:
         entry = self.entries[uuid]
-        if self.blind:
+        if self._blind:
             return blind_row(entry, answered=uuid in self.answered)
-        return row_of(entry, entry.state, self.badges.get(uuid, ()))
+        badges = () if self._hides else self.badges.get(uuid, ())
+        return row_of(entry, entry.state, badges)
 
     def _want(self) -> None:
         if self.at >= 0:

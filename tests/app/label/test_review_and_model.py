@@ -87,11 +87,16 @@ def test_the_models_displacement_is_accepted_by_one_key_but_not_approved(desk):
 
 
 def test_blind_nobody_sees_nor_takes_the_model(desk):
+    walk = desk.workspace.presenter.walk
+    walk.note(walk.order[3], ("model 9.0 \N{GREEK SMALL LETTER SIGMA} off",))
+    assert desk.page.list.rows()[3].badges
     desk.do((KEY.Key_B, CTRL))
     go_to_unlabelled(desk)
     uuid = desk.uuid
     assert desk.page.view.scene.ghosts == ()
     assert "hidden" in desk.page.model_line.text()
+    rows = desk.page.list.rows()
+    assert not any("model" in badge for row in rows for badge in row.badges)
     desk.do(KEY.Key_M, KEY.Key_Return)
     assert desk.book.head(uuid).state == "unlabelled"
     assert "no displacement yet" in desk.page.message.text()

@@ -2,86 +2,15 @@
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QEvent, Qt
-from PySide6.QtGui import QKeyEvent
+from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QMessageBox, QPushButton
 
-from app.application import TouchdownApp
-from app.error_hooks import ErrorBox
-from backend.assembly import simulated_session
 from backend.core.flow import Pose
-from backend.core.turning import vector_of
-from backend.runs.requests import RunState, SceneChoice
-from backend.session import Keep
-from tests.backend.brisk import brisk_bench
+from backend.runs.requests import RunState
+from tests.journeys.operate_desk import desk, place, press, release, turn
 
-STEP_S = 0.02
-
-
-class SteppedSession:
-    """A session whose time the test turns."""
-
-    def __init__(self, session):
-        self._session = session
-
-    def __getattr__(self, name):
-        return getattr(self._session, name)
-
-    def open(self):
-        """No thread."""
-
-
-@pytest.fixture
-def desk(qapp, qtbot, tmp_path):
-    session = simulated_session(brisk_bench(), keep=Keep(tmp_path / "runs", episodes=False))
-    session.prepare(SceneChoice())
-    motion = session._scene.stage.arm.move_to(Pose(0.0, 0.0, 80.0), 50.0)
-    while not motion.done:
-        session.advance()
-    main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
-    main.attach(SteppedSession(session))
-    main.go("operate")
-    with qtbot.waitActive(main.window, timeout=60_000):
-        main.window.show()
-        main.window.activateWindow()
-    turn(main, session, 0.1)
-    yield main, session
-    main.close()
-    main.window.deleteLater()
-    main.deleteLater()
-
-
-def turn(main, session, seconds, held=False):
-    """Let bench time pass; a held button beats every 100 ms of it."""
-    hold = main.workspaces["operate"].page.jog.hold
-    hold._timer.stop()
-    for count in range(round(seconds / STEP_S)):
-        if held and count % 5 == 4:
-            hold._beat()
-        session.engine.tick()
-        session.advance()
-        if count % 2:
-            main.pump.tick()
-    for _ in range(12):
-        main.pump.tick()
-
-
-def place(session):
-    return session._scene.stage.arm._world.drive.command_mm
-
-
-def window_key(main, kind, key, repeat=False):
-    event = QKeyEvent(kind, key, Qt.KeyboardModifier.NoModifier, autorep=repeat)
-    QApplication.sendEvent(main.window.windowHandle(), event)
-
-
-def press(main, key, repeat=False):
-    window_key(main, QEvent.Type.KeyPress, key, repeat)
-
-
-def release(main, key):
-    window_key(main, QEvent.Type.KeyRelease, key)
+__all__ = ["desk"]
 
 
 def test_a_held_pad_moves_the_arm_and_the_pill_says_so(desk):
@@ -134,87 +63,6 @@ def test_a_dialog_and_another_page_end_a_jog(desk):
     QApplication.processEvents()
     assert not session.hand.jog.active
     box.close()
-
-
-def turned(session):
-    return vector_of(session._scene.stage.arm._world.drive.turn)
-
-
-def test_whatever_ends_a_move_ends_a_turn(desk):
-    main, session = desk
-    jog = main.workspaces["operate"].page.jog
-    ends = {
-        "+rx": "release", "-rz": "page", "+ry": "frozen", "+j4": "frame",
-        "-j5": "frozen", "-rx": "mode", "+j6": "stop", "+j1": "dialog",
-    }  # fmt: skip
-    for what, end in ends.items():
-        main.go("operate")
-        jog.frame.setCurrentIndex(2 if "j" in what else 0)
-        jog.turn.setChecked("j" not in what)
-        turn(main, session, 0.1)
-        pad, before = jog.pads[what], turned(session)
-        assert pad.isVisible()
-        assert "\N{DEGREE SIGN}" in pad.text(), "each way says how far it goes"
-        QTest.mousePress(pad, Qt.MouseButton.LeftButton)
-        turn(main, session, 0.4, held=end != "frozen")
-        assert np.linalg.norm(turned(session) - before) > 0.004
-        end_it(main, pad, end)
-        turn(main, session, 0.1, held=end == "frozen")
-        at = turned(session)
-        assert not session.hand.jog.active, end
-        assert not jog.hold.held, end
-        turn(main, session, 0.2)
-        assert np.array_equal(at, turned(session)), end
-        if end == "stop":
-            main.reset()
-
-
-def end_it(main, pad, end):
-    if end == "release":
-        QTest.mouseRelease(pad, Qt.MouseButton.LeftButton)
-    elif end == "page":
-        main.go("review")
-    elif end in ("frame", "mode"):
-        main.actions.action(f"operate.{'frame' if end == 'frame' else 'turn'}").trigger()
-    elif end == "stop":
-        main.stop()
-    elif end == "dialog":
-        box = QMessageBox(QMessageBox.Icon.NoIcon, "t", "text", parent=main.window)
-        box.open()
-        QApplication.processEvents()
-        box.close()
-
-
-def test_keys_turn_and_drive_joints_and_level_brings_the_hand_back(desk):
-    main, session = desk
-    page = main.workspaces["operate"].page
-    main.actions.action("operate.turn").trigger()
-    page.jog.pace.steps[-1].click()
-    page.jog.keys.click()
-    press(main, Qt.Key.Key_PageUp)
-    release(main, Qt.Key.Key_PageUp)
-    turn(main, session, 1.5)
-    assert np.degrees(turned(session)) == pytest.approx([0.0, 0.0, 5.0], abs=1e-6)
-    assert "RZ 5.0" in page.jog._pose.text()
-    page.jog.frame.setCurrentIndex(2)
-    page.jog.keys.click()
-    page.jog.keys.click()
-    before = session._scene.stage.arm.joints_rad(1.0)
-    press(main, Qt.Key.Key_6)
-    release(main, Qt.Key.Key_6)
-    assert page.jog.pads["+j6"].property("chosen") == "yes"
-    assert not session.hand.active, "a digit moves nothing"
-    press(main, Qt.Key.Key_Down)
-    release(main, Qt.Key.Key_Down)
-    turn(main, session, 1.5)
-    after = session._scene.stage.arm.joints_rad(1.0)
-    assert np.degrees(np.subtract(after, before)) == pytest.approx([0, 0, 0, 0, 0, -5.0], abs=1e-4)
-    main.actions.action("operate.probe").trigger()
-    assert "level it first" in main.cards.card("TURNED").text.what
-    main.actions.action("operate.level").trigger()
-    turn(main, session, 1.5)
-    assert not turned(session).any()
-    assert not page.jog.level.isEnabled()
 
 
 def test_stop_ends_a_jog_and_no_pad_works_until_reset(desk):
@@ -387,41 +235,6 @@ def test_the_bench_is_set_anew_with_another_piece(desk):
     QTest.mousePress(page.jog.pads["+z"], Qt.MouseButton.LeftButton)
     assert session.hand.jog.active, "the new scene has its own hand"
     QTest.mouseRelease(page.jog.pads["+z"], Qt.MouseButton.LeftButton)
-
-
-def test_the_servo_goes_off_at_a_press_and_on_after_a_second(desk, qtbot):
-    main, session = desk
-    servo, pad = main.bar.servo, main.workspaces["operate"].page.jog.pads["+z"]
-    qtbot.waitUntil(lambda: main.pump.tick() or servo.text() == "on", timeout=20_000)
-    servo.click()
-    switched(main, session, "off", qtbot)
-    assert main.bar.pill.state.word == "NOT READY"
-    assert not pad.isEnabled()
-    main.actions.action("operate.probe").trigger()
-    assert session.status().state is RunState.IDLE
-    servo.click()
-    turn(main, session, 0.1)
-    assert not session.hand.powered, "a press alone switches nothing on"
-    QTest.mousePress(servo, Qt.MouseButton.LeftButton)
-    servo._held.timeout.emit()
-    QTest.mouseRelease(servo, Qt.MouseButton.LeftButton)
-    switched(main, session, "on", qtbot)
-    assert pad.isEnabled()
-    main.stop()
-    servo.click()
-    switched(main, session, "off", qtbot)
-    session.hand._switch.join()
-    QTest.mousePress(servo, Qt.MouseButton.LeftButton)
-    servo._held.timeout.emit()
-    QTest.mouseRelease(servo, Qt.MouseButton.LeftButton)
-    assert not session.hand.powered, "not while the stop is latched"
-    assert "STOPPED" in main.cards.codes
-
-
-def switched(main, session, word, qtbot):
-    session.hand._switch.join()
-    qtbot.waitUntil(lambda: main.pump.tick() or main.bar.servo.text() == word, timeout=20_000)
-    turn(main, session, 0.1)
 
 
 def test_closing_asks_while_a_piece_is_held(desk):

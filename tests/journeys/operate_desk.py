@@ -1,0 +1,81 @@
+"""The real window on the real simulated bench, whose time the test turns."""
+
+import pytest
+from PySide6.QtCore import QEvent, Qt
+from PySide6.QtGui import QKeyEvent
+from PySide6.QtWidgets import QApplication
+
+from app.application import TouchdownApp
+from app.error_hooks import ErrorBox
+from backend.assembly import simulated_session
+from backend.core.flow import Pose
+from backend.runs.requests import SceneChoice
+from backend.session import Keep
+from tests.backend.brisk import brisk_bench
+
+STEP_S = 0.02
+
+
+class SteppedSession:
+    """A session whose time the test turns."""
+
+    def __init__(self, session):
+        self._session = session
+
+    def __getattr__(self, name):
+        return getattr(self._session, name)
+
+    def open(self):
+        """No thread."""
+
+
+@pytest.fixture
+def desk(qapp, qtbot, tmp_path):
+    session = simulated_session(brisk_bench(), keep=Keep(tmp_path / "runs", episodes=False))
+    session.prepare(SceneChoice())
+    motion = session._scene.stage.arm.move_to(Pose(0.0, 0.0, 80.0), 50.0)
+    while not motion.done:
+        session.advance()
+    main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
+    main.attach(SteppedSession(session))
+    main.go("operate")
+    with qtbot.waitActive(main.window, timeout=60_000):
+        main.window.show()
+        main.window.activateWindow()
+    turn(main, session, 0.1)
+    yield main, session
+    main.close()
+    main.window.deleteLater()
+    main.deleteLater()
+
+
+def turn(main, session, seconds, held=False):
+    """Let bench time pass; a held button beats every 100 ms of it."""
+    hold = main.workspaces["operate"].page.jog.hold
+    hold._timer.stop()
+    for count in range(round(seconds / STEP_S)):
+        if held and count % 5 == 4:
+            hold._beat()
+        session.engine.tick()
+        session.advance()
+        if count % 2:
+            main.pump.tick()
+    for _ in range(12):
+        main.pump.tick()
+
+
+def place(session):
+    return session._scene.stage.arm._world.drive.command_mm
+
+
+def window_key(main, kind, key, repeat=False):
+    event = QKeyEvent(kind, key, Qt.KeyboardModifier.NoModifier, autorep=repeat)
+    QApplication.sendEvent(main.window.windowHandle(), event)
+
+
+def press(main, key, repeat=False):
+    window_key(main, QEvent.Type.KeyPress, key, repeat)
+
+
+def release(main, key):
+    window_key(main, QEvent.Type.KeyRelease, key)

@@ -212,15 +212,17 @@ class CalibratePresenter:
             return self._said.get(self._chosen, "")
         return " ".join(text for text in (found.obstacle, found.note) if text)
 
-    def _row(self, what: What) -> tuple[str, bool]:
+    def _row(self, what: What) -> tuple[str, str]:
         standing = self._standings.get(what)
         if standing is None:
-            return NO_STORE, False
+            return NO_STORE, ""
         if standing.condition != "valid" or standing.record is None:
-            return standing.why[:1].upper() + standing.why[1:], False
+            # Only hardware must have them.
+            needed = standing.condition != "missing" or self._link.facts.mode == "hardware"
+            return standing.why[:1].upper() + standing.why[1:], "bad" if needed else ""
         file = standing.record.file
         left = days_words(standing.record.days_left(datetime.now(UTC)))
-        return f"{file.residual:.2g} of {file.limit:g} {file.unit}, holds {left}", True
+        return f"{file.residual:.2g} of {file.limit:g} {file.unit}, holds {left}", "good"
 
     def _live(self) -> str:
         minus, now_s = "\N{MINUS SIGN}", self._link.clock_s()

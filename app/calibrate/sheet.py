@@ -34,14 +34,14 @@ VALUE_COLUMNS = 2
 
 @dataclass(frozen=True, slots=True)
 class SheetLook:
-    """Everything that changes. ``rows``: (condition, good) per calibration; ``chosen`` of them.
+    """Everything that changes. ``rows``: (condition, tone) per calibration; ``chosen`` of them.
 
     ``steps`` with the number of the one under way (-1: none); ``figure`` is the residual in words;
     ``within`` its limit, None while there is none; ``kind`` says what of the residuals counts.
     ``why``: what stands against measuring, "" if nothing does.
     """
 
-    rows: tuple[tuple[str, bool], ...]
+    rows: tuple[tuple[str, str], ...]
     chosen: int
     title: str
     steps: tuple[str, ...]
@@ -113,9 +113,9 @@ class CalibrateSheet(QDialog):
         before, self._shown = self._shown, look
         if look == before:
             return
-        for index, (words, good) in enumerate(look.rows):
+        for index, (words, tone) in enumerate(look.rows):
             self.conditions[index].setText(words)
-            set_property(self.conditions[index], "tone", "good" if good else "bad")
+            set_property(self.conditions[index], "tone", tone)
         self.choices[look.chosen].setChecked(True)
         self.title.setText(look.title)
         for index, step in enumerate(self.steps):

@@ -16,8 +16,10 @@ Index = QModelIndex | QPersistentModelIndex
 ROOT = QModelIndex()
 HEADS = ("No.", "Status", "Quality", "x, y (mm)", "Time", "Grip", "Person")
 RIGHT = frozenset((0, 3, 4))
-WIDTHS_EM = (2.2, 4.6, 4.0, 5.6, 4.1, 3.4, 4.6)
+WIDTHS_EM = (2.9, 4.6, 4.0, 5.6, 4.1, 3.4, 4.6)
 NUMBER, QUALITY, TIME = 0, 2, 4
+UP, DOWN = "\N{BLACK UP-POINTING SMALL TRIANGLE}", "\N{BLACK DOWN-POINTING SMALL TRIANGLE}"
+"""Beside the head that sorts: Qt's own mark would cover the word."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,15 +81,13 @@ class EpisodeTable(QTableView):
         self.setShowGrid(False)
         self.setWordWrap(False)
         self.setTabKeyNavigation(False)
-        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAsNeeded)
         self.verticalHeader().hide()
         head = self.horizontalHeader()
         head.setHighlightSections(False)
         head.setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
         head.setSectionResizeMode(QUALITY, QHeaderView.ResizeMode.Stretch)
-        head.setMinimumSectionSize(20)
         head.setSectionsClickable(True)
-        head.setSortIndicatorShown(True)
         head.sectionClicked.connect(self.sort_by)
         head.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
         head.customContextMenuRequested.connect(self._offer_columns)
@@ -120,8 +120,7 @@ class EpisodeTable(QTableView):
             self.setColumnHidden(column, name not in wanted.columns)
         head = self.horizontalHeader()
         head.setStretchLastSection(self.isColumnHidden(QUALITY))
-        order = Qt.SortOrder.DescendingOrder if wanted.descending else Qt.SortOrder.AscendingOrder
-        head.setSortIndicator(HEADS.index(wanted.sort), order)
+        self._rows.mark_head(HEADS.index(wanted.sort), DOWN if wanted.descending else UP)
         self.show_rows(self._all, chosen)
 
     def sort_by(self, column: int) -> None:
@@ -170,6 +169,7 @@ class EpisodeTable(QTableView):
         """Take row height and column widths of the font scale."""
         em = QFontMetrics(ui_font(self._theme.scale)).height()
         self.verticalHeader().setDefaultSectionSize(round(1.45 * em))
+        self.horizontalHeader().setMinimumSectionSize(round(min(WIDTHS_EM) * em))
         for column, width in enumerate(WIDTHS_EM):
             self.setColumnWidth(column, round(width * em))
 
@@ -195,6 +195,7 @@ class _Rows(QAbstractTableModel):
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self.rows: list[EpisodeRow] = []
+        self._marked, self._mark = NUMBER, DOWN
 
     def rowCount(self, parent: Index = ROOT) -> int:
         return 0 if parent.isValid() else len(self.rows)
@@ -207,7 +208,9 @@ class _Rows(QAbstractTableModel):
             return None
         if role == Qt.ItemDataRole.TextAlignmentRole:
             return _aligned(section)
-        return HEADS[section] if role == Qt.ItemDataRole.DisplayRole else None
+        if role != Qt.ItemDataRole.DisplayRole:
+            return None
+        return f"{HEADS[section]} {self._mark}" if section == self._marked else HEADS[section]
 
     def data(self, index: Index, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
         row = self.rows[index.row()]
@@ -222,6 +225,10 @@ class _Rows(QAbstractTableModel):
             font.setStrikeOut(True)
             return font
         return None
+
+    def mark_head(self, section: int, mark: str) -> None:
+        self._marked, self._mark = section, mark
+        self.headerDataChanged.emit(Qt.Orientation.Horizontal, 0, len(HEADS) - 1)
 
     def show(self, rows: Sequence[EpisodeRow]) -> None:
         self.beginResetModel()

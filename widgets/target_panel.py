@@ -102,7 +102,7 @@ class TargetPanel(Panel):
         self.hand_over = QCheckBox("Hand the piece over (no jig)")
         self.residual = label("", "small", wrap=True)
         self.here, self.take = (
-            QPushButton("Set where the arm is"),
+            QPushButton("Set here"),
             QPushButton("Add residual"),
         )
         self.why_not, self.lift = label("", "small", wrap=True), QPushButton("Lift 5 mm")

@@ -33,7 +33,7 @@ from tests.app.conftest import settle
 from tests.app.label.conftest import make_episode
 from tests.app.stand_in import StandInBench
 from widgets.distribution_view import NEAR_PX
-from widgets.episode_table import HEADS, Arrangement
+from widgets.episode_table import DOWN, HEADS, Arrangement
 
 KEY = Qt.Key
 PROBES = 6
@@ -339,12 +339,10 @@ def test_after_a_campaign_the_focus_is_on_the_page(page):
 
 def test_a_person_who_types_keeps_the_focus(page):
     page.press(KEY.Key_U, Qt.KeyboardModifier.ControlModifier)
-    page.bench.hand = SimpleNamespace(pressing_n=3.0, active=False, holding=True,
-                                      jog=SimpleNamespace(active=False))  # fmt: skip
+    page.bench.set_state(RunState.RUNNING)
     settle(page.main)
     assert not page.view.target.start.isEnabled()
     assert page.view.target.person.hasFocus()
-    page.bench.hand = None
 
 
 def test_a_discarded_probe_can_be_collected_again_without_a_restart(page):
@@ -378,6 +376,9 @@ def test_the_list_is_sorted_by_a_click_and_its_columns_are_chosen_and_remembered
     click(3)
     assert [row.distance_mm for row in table.rows()] == away[::-1]
     assert table.chosen() == page.presenter.probes.shown
+    said = [table.model().headerData(k, Qt.Orientation.Horizontal, Qt.ItemDataRole.DisplayRole)
+            for k in range(len(HEADS))]  # fmt: skip
+    assert said == [*HEADS[:3], f"{HEADS[3]} {DOWN}", *HEADS[4:]]
     assert table.isColumnHidden(HEADS.index("Person"))
     table.choose_columns()
     menu = table.findChild(QMenu)
@@ -433,7 +434,9 @@ def test_the_origin_is_set_where_the_arm_was_jogged_to(page):
 def test_in_contact_nothing_starts_and_a_lift_is_offered(page):
     steps = []
     jog = SimpleNamespace(step=lambda *asked: steps.append(asked), active=False)
-    page.bench.hand = SimpleNamespace(pressing_n=3.0, active=False, holding=True, jog=jog)
+    page.bench.hand = SimpleNamespace(
+        pressing_n=3.0, active=False, powered=True, switching=False, holding=True, jog=jog
+    )
     settle(page.main)
     target = page.view.target
     assert not target.start.isEnabled()

@@ -71,6 +71,8 @@ def freed() -> Iterator[None]:
     """Free what refers to itself: the pictures of a few sessions fill a gigabyte."""
     yield
     gc.collect()
+    # What outlives a module are imports and caches: no later look has to go through them again.
+    gc.freeze()
     if _give_back is not None:
         _give_back(0)
 

@@ -12,7 +12,7 @@ from backend.core.flow import FINGERS, FloatArray, Pose
 from backend.devices.protocols import PressCommand
 from backend.runs.bench import Bench
 from backend.runs.jig import pick, put_back
-from backend.runs.motions import MOVE_S, lift, zero_sensors
+from backend.runs.motions import MOVE_S, zero_sensors
 from backend.runs.plan import Checkpoint, Plan, Waiting, motion_done
 from backend.runs.requests import CalibrateRequest
 from backend.runs.touching import find_height
@@ -44,14 +44,15 @@ def _pushes(bench: Bench, request: CalibrateRequest) -> Plan[list[Push]]:
         x_mm, y_mm = (origin + out_mm * _towards(side)).tolist()
         motion = bench.arm.move_to(Pose(x_mm, y_mm, start_mm), bench.settings.probe.travel_mm_s)
         yield from motion_done(motion, MOVE_S, "the arm to shift")
-        each = yield from _push(bench, side)
+        each = yield from _push(bench, side, start_mm)
         pushed.append(each)
     yield Progress(bench.now_s(), len(SIDES), len(SIDES), "back to the jig")
     yield from put_back(bench)
     return pushed
 
 
-def _push(bench: Bench, side: Side) -> Plan[Push]:
+def _push(bench: Bench, side: Side, start_mm: float) -> Plan[Push]:
+    """Press here and rise to ``start_mm``, straight up."""
     yield from zero_sensors(bench, 0)
     yield PhaseEntered(bench.now_s(), "press", 0)
     probe = bench.settings.probe
@@ -69,7 +70,10 @@ def _push(bench: Bench, side: Side) -> Plan[Push]:
     yield Waiting(lambda: press.done, MOVE_S, "the press to end")
     press.result()
     found = _felt(bench, side)
-    yield from lift(bench, 0)
+    yield PhaseEntered(bench.now_s(), "lift", 0)
+    here = bench.arm.pose(max_age_s=0.2)
+    up = bench.arm.move_to(Pose(here.x_mm, here.y_mm, start_mm), probe.travel_mm_s)
+    yield from motion_done(up, MOVE_S, "the arm to lift")
     return found
 
 

@@ -7,8 +7,12 @@ import math
 import numpy as np
 import pytest
 
+from backend.assembly import SimulatedBenchChoice, simulated_session
 from backend.calibration.estimate import Estimate
+from backend.config.simulation import SimulationSettings
+from backend.core.facts import CalibrationMeasured
 from backend.core.faults import RefusedError
+from backend.devices.interlock import Limits
 from backend.devices.sim.arm import SimArm
 from backend.objects.shapes import circle, rectangle, regular, square
 from backend.runs import touching
@@ -17,7 +21,8 @@ from backend.runs.calibrate_payload import measure_payload, measure_wrist
 from backend.runs.calibrate_tool import measure_tool
 from backend.runs.motions import take_piece
 from backend.runs.requests import CalibrateRequest
-from tests.backend.runs.blind_bench import BlindBench
+from backend.session import Keep
+from tests.backend.runs.blind_bench import BRISK, BlindBench
 
 
 @pytest.fixture
@@ -123,3 +128,24 @@ def test_edges_are_felt_where_one_of_both_outlines_runs_along_the_other() -> Non
 def test_the_middle_of_an_overlap_is_its_centroid() -> None:
     middle = middle_of_overlap(square(10.0), square(10.0), np.array([4.0, -2.0]))
     np.testing.assert_allclose(middle, [2.0, -1.0], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_pressing_at_the_rim_tells_how_the_cameras_sit() -> None:
+    # A few pictures per second: every one of them is drawn and tracked.
+    settings = SimulationSettings.model_validate({"tactile": {"rate_hz": 8.0}})
+    session = simulated_session(SimulatedBenchChoice(given=settings), keep=Keep(None), method=BRISK)
+    session.interlock.limits = Limits(contact_speed_mm_s=4.0)
+    told = []
+    session.hub.subscribe(lambda f: told.append(f) if isinstance(f, CalibrationMeasured) else None)
+    session.run(CalibrateRequest("camera", seed=2))
+    session.close()
+    (found,) = told
+    assert found.acceptable
+    assert "fit the settings" in found.note
+    # The pictures are those of a real gel: 0.058 by 0.060 mm per px.
+    scales = dict(zip(found.names, found.values, strict=True))
+    for finger in ("left", "right"):
+        assert scales[f"{finger}_u_mm_px"] == pytest.approx(0.0585, rel=0.01)
+        assert scales[f"{finger}_v_mm_px"] == pytest.approx(0.0602, rel=0.01)
+    assert found.residual == pytest.approx(1.7, abs=0.4)

@@ -99,7 +99,9 @@ class FaultCard(QFrame):
         words = QVBoxLayout()
         words.setSpacing(2)
         words.addWidget(self._title)
-        words.addWidget(label(f"{self.text.consequence} {self.text.next_step}".strip(), wrap=True))
+        then = f"{self.text.consequence} {self.text.next_step}".strip()
+        if then:
+            words.addWidget(label(then, wrap=True))
         words.addWidget(self._foot)
         row = QHBoxLayout()
         row.addLayout(words, 1)

@@ -166,7 +166,7 @@ def train(day, workspace):
     page.form.labels.setCurrentIndex(1)
     for name, value in {"hidden": 8, "epochs": 1, "layers": 1, "held_out": 40}.items():
         getattr(page.form.numbers, name).setValue(value)
-    assert "Collect another campaign" in page.leaks.text()
+    day.wait(lambda: settled() and "Collect another campaign" in page.leaks.text())
     page.form.divide.setChecked(True)
     day.wait(lambda: settled() and page.form.start.isEnabled())
     day.press(KEY.Key_Return, CTRL)

@@ -77,7 +77,7 @@ def test_the_scale_covers_the_truth_as_often_as_it_says() -> None:
 
 
 def test_a_gel_with_another_pitch_or_a_lost_dot_is_not_accepted() -> None:
-    bent = [Push(p.side, p.rest_px + 3.0 * (np.arange(63)[:, None] % 2), p.moved_px)
+    bent = [Push(p.side, p.rest_px + 12.0 * (np.arange(63)[:, None] % 2), p.moved_px)
             for p in pushes()]  # fmt: skip
     assert not estimate_cameras(bent, PITCH_MM).acceptable
     with pytest.raises(RefusedError, match="MARKERS"):

@@ -13,7 +13,7 @@ from backend.core.flow import PlaceAction
 Strategy = Literal["paper", "pick-and-place"]
 Mode = Literal["auto", "approve", "step"]
 GRIPS = 3
-"""So many grips at least does a campaign make by default: fewer show nothing of what a grip does."""
+"""So many grips at least does a campaign make by default: fewer do not show what a grip does."""
 
 
 @dataclass(frozen=True, slots=True)

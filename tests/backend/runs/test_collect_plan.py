@@ -10,6 +10,7 @@ from scipy.stats import kstest
 
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.values import Label
+from backend.config.method import StackSettings
 from backend.core.faults import InputError
 from backend.dataset.coverage import coverage
 from backend.objects.catalogue import load_catalogue
@@ -18,6 +19,7 @@ from backend.objects.surface import overlap_area_mm2
 from backend.runs.campaign import Campaign, new_campaign, newest_campaign, read_campaign
 from backend.runs.collect_plan import PATTERNS, Target, grid_mm, planned_mm
 from backend.runs.collect_report import pair_coverage
+from backend.runs.requests import GRIPS, CollectRequest
 from tests.backend.catalogue.conftest import context_for, small_episode
 
 TARGET = Target(circle(15.0), rectangle(12.0, 28.0))
@@ -130,3 +132,15 @@ def test_holes_are_those_of_all_campaigns_that_somebody_stands_for(dataset: Data
     # Mine as a draft, theirs approved and submitted; not their draft, nor what is no observation.
     found = [seen.centre_mm(i, j) for i, j in zip(*np.nonzero(seen.counts), strict=True)]
     assert sorted(found) == [(0.0, 0.0), (4.0, 0.0), (8.0, 0.0)]
+
+
+@pytest.mark.parametrize(
+    ("count", "asked", "most"), [(20, None, 7), (2, None, 1), (200, None, 50), (20, 9, 9)]
+)
+def test_a_campaign_makes_three_grips_or_more_unless_told_otherwise(
+    count: int, asked: int | None, most: int
+) -> None:
+    method = CollectRequest(count=count, probes_per_grip=asked).method(StackSettings())
+    assert method.collect.probes_per_grip == most
+    if asked is None and count >= GRIPS:
+        assert -(-count // most) >= GRIPS

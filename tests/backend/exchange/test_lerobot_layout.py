@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import pyarrow as pa
@@ -55,7 +56,7 @@ def test_info_says_version_counts_paths_and_features(out: Path) -> None:
     assert "robot_type" in info
     ends = sorted(tuple(map(int, span.split(":"))) for span in info["splits"].values())
     assert (ends[0][0], ends[-1][1]) == (0, EPISODES)
-    assert all(one[1] == other[0] for one, other in zip(ends, ends[1:], strict=False))
+    assert all(one[1] == other[0] for one, other in pairwise(ends))
 
 
 def test_rows_are_frames_and_a_row_group_is_an_episode(out: Path) -> None:

@@ -79,7 +79,8 @@ class MainWindow(QMainWindow):
         self._on_top = OnTop(cards, body)
         middle = QHBoxLayout()
         middle.setSpacing(0)
-        middle.addWidget(self._rail())
+        self._rail_frame = self._rail()
+        middle.addWidget(self._rail_frame)
         middle.addWidget(body, 1)
         frame = self._frame = QWidget()
         frame.setObjectName("frame")
@@ -180,9 +181,10 @@ class MainWindow(QMainWindow):
 
     def _fit_columns(self) -> None:
         """Where a page is wider than the window its controls come first: the rest scrolls."""
-        for name, page in self._pages.items():
-            least = max(page.minimumWidth(), page.minimumSizeHint().width())
-            narrow = self._scrolls[name].width() < least
+        # Pages that are not seen have not been laid out: the room follows from the window.
+        room = self.width() - self._rail_frame.sizeHint().width()
+        for page in self._pages.values():
+            narrow = room < page.minimumWidth()
             for columns in page.findChildren(Columns):
                 columns.lead_with_controls(narrow)
 

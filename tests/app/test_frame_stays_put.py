@@ -122,9 +122,15 @@ def test_with_large_text_the_controls_come_first_and_back(live):
     assert live.window.rect().contains(corner), "it is reached without scrolling"
     shares = page.columns.arrangement().shares
     live.look.show("dark", 1.0)
-    settle(live)
-    tactile = page.tactile["left"]
-    assert start.mapTo(live.window, start.rect().topLeft()).x() > tactile.width()
+    for width in (1600, 1280):
+        live.window.resize(width, 720)
+        for name in ("operate", "stack"):
+            live.go(name)
+            settle(live)
+            columns = live.workspaces[name].columns
+            places = [part.x() for part in columns._parts]
+            assert places == sorted(places), f"{name} as usual at {width} px"
+            assert not live.window._scrolls[name].horizontalScrollBar().isVisible()
     assert page.columns.arrangement().shares == shares
 
 

@@ -13,6 +13,7 @@ import gc
 import itertools
 import socket
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -89,7 +90,7 @@ def no_network() -> Iterator[None]:
 
 @pytest.fixture(autouse=True, scope="session")
 def warm_trainings() -> Iterator[None]:
-    """Start trainings without importing torch anew for each, where a process can be forked."""
+    """Start trainings without importing torch for each, where a process can be forked safely."""
     yield
     _warm.close()
 
@@ -97,7 +98,7 @@ def warm_trainings() -> Iterator[None]:
 @pytest.fixture(autouse=True)
 def warm_start(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let trainings start warm, but in tests that are marked ``cold_start``."""
-    if hasattr(os, "fork") and request.node.get_closest_marker("cold_start") is None:
+    if sys.platform == "linux" and request.node.get_closest_marker("cold_start") is None:
         like = SimpleNamespace(
             Popen=_warm.popen, PIPE=subprocess.PIPE, TimeoutExpired=subprocess.TimeoutExpired
         )

@@ -2,7 +2,7 @@
 
 What runs in them is ``backend.learning.process`` as ever, in a process of its own, with its own
 pipes and exit status; only the 3 s of importing torch for each of some forty children are spared.
-``cold_start`` in ``tests/conftest.py`` gives a test the ordinary start.
+``cold_start`` marks a test that takes the ordinary start.
 """
 
 from __future__ import annotations
@@ -16,10 +16,12 @@ import socket
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import IO, Any
 
 MODULE = "backend.learning.process"
 LONGEST_BYTES = 1 << 16
+ROOT = Path(__file__).resolve().parents[1]
 
 
 class WarmStart:
@@ -51,7 +53,10 @@ class WarmStart:
             self._control, far = socket.socketpair()
             with far:
                 self._server = subprocess.Popen(
-                    [sys.executable, "-m", "tests.warm"], stdin=far, stdout=subprocess.DEVNULL
+                    [sys.executable, "-m", "tests.warm"],
+                    stdin=far,
+                    stdout=subprocess.DEVNULL,
+                    cwd=ROOT,
                 )
         return self._control
 

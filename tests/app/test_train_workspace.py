@@ -67,7 +67,7 @@ class Desk:
         QTest.keyClick(self.main.window.windowHandle(), key, modifiers)
 
     def until(self, there: Callable[[], bool]) -> None:
-        self._qtbot.waitUntil(there, timeout=100_000)
+        self._qtbot.waitUntil(there, timeout=400_000)
 
     def settle(self) -> None:
         self.until(lambda: not self.workspace._commits.busy)

@@ -1,0 +1,219 @@
+"""The Collect half while a campaign goes on: answers, progress, origin, hand-over."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+from PySide6.QtCore import Qt
+
+from app.collect.origin import note_of
+from backend.core.facts import (
+    DecisionAwaited,
+    EpisodeDecided,
+    HandOverAwaited,
+    OriginChecked,
+    RunFinished,
+)
+from backend.runs.campaign import new_campaign
+from backend.runs.requests import RunState
+from tests.app.collect.conftest import CAMPAIGN, PROBES
+from tests.app.conftest import settle
+
+KEY = Qt.Key
+
+
+@pytest.mark.parametrize(
+    ("key", "decision"),
+    [(KEY.Key_Return, "keep"), (KEY.Key_Backspace, "discard"), (KEY.Key_X, "flag"),
+     (KEY.Key_R, "redo"), (KEY.Key_S, "skip"), (KEY.Key_F5, "keep")],
+)  # fmt: skip
+def test_one_key_answers_for_the_last_probe(page, key, decision):
+    page.begin()
+    newest = page.uuids[-1]
+    page.probed(newest)
+    page.tell(DecisionAwaited(1.0, newest, 0))
+    assert page.view.probe.detail.text() == "waiting for you"
+    page.press(key)
+    assert page.bench.decisions == [decision]
+    assert page.bench.started == []
+
+
+def test_space_and_f12_stop_while_the_question_waits(page):
+    page.begin()
+    page.probed(page.uuids[-1])
+    page.tell(DecisionAwaited(1.0, page.uuids[-1], 0))
+    page.press(KEY.Key_Space)
+    assert page.bench.stops == 1
+    page.press(KEY.Key_F12)
+    assert page.bench.stops == 2
+    assert page.bench.decisions == []
+
+
+def test_an_older_probe_is_decided_in_the_dataset_and_shown(page):
+    first = page.uuids[0]
+    page.presenter.probes.choose(first)
+    settle(page.main)
+    page.press(KEY.Key_X)
+    page.settle()
+    dataset = page.presenter.dataset
+    assert dataset.entry(first).flagged
+    assert page.view.distribution.scene.flagged.sum() == 1
+    page.press(KEY.Key_Backspace)
+    page.settle()
+    assert dataset.entry(first).deleted
+    assert first not in page.uuids
+    assert len(page.view.distribution.scene.points_mm) == PROBES - 1
+    assert page.view.coverage.scene.bins.counts.sum() == PROBES - 1
+    page.view.deleted.setChecked(True)
+    settle(page.main)
+    assert page.uuids[0] == first
+    page.press(KEY.Key_Return)
+    page.settle()
+    assert not dataset.entry(first).deleted
+    assert page.bench.decisions == []
+
+
+def test_what_a_run_decides_is_read_again(page):
+    page.begin()
+    newest = page.uuids[-1]
+    page.probed(newest)
+    page.presenter.dataset.labels.flag("Ann", newest)
+    page.tell(EpisodeDecided(1.0, newest, 0, "flag", "Ann"))
+    assert page.view.distribution.scene.flagged[-1]
+    assert "flagged" in page.view.probe.verdict.text()
+
+
+def test_progress_pause_and_end(page):
+    page.begin()
+    target = page.view.target
+    assert (target.bar.value(), target.bar.maximum()) == (2, 20)
+    page.probed(page.uuids[-1], done=3)
+    assert target.bar.value() == 3
+    assert target.eta.text().startswith("17 left")
+    page.press(KEY.Key_P)
+    assert page.bench.engine.orders == ["pause"]
+    settle(page.main)
+    assert target.pause.text() == "Resume"
+    target.end.click()
+    page.tell(RunFinished(2.0, "run", "cancelled", "cancelled by the operator"))
+    assert page.bench.engine.orders == ["pause", "cancel"]
+    assert target.start.isEnabled()
+    assert target.eta.text() == "cancelled by the operator"
+
+
+def test_the_bar_counts_no_probe_that_was_discarded(page):
+    page.begin()
+    bar, dataset = page.view.target.bar, page.presenter.dataset
+    older, newest = page.uuids[-2:]
+    page.probed(newest, done=3)
+    page.tell(EpisodeDecided(1.0, newest, 0, "flag", "Ann"))
+    assert bar.value() == 3
+    page.tell(EpisodeDecided(1.0, newest, 0, "discard", "Ann"))
+    assert bar.value() == 2
+    # An older one is discarded beside the run, which goes on counting it.
+    page.presenter._progress.campaign = CAMPAIGN
+    page.presenter.probes.choose(older)
+    page.press(KEY.Key_Backspace)
+    page.settle()
+    assert dataset.entry(older).deleted
+    assert bar.value() == 1
+    page.press(KEY.Key_Return)
+    page.settle()
+    assert not dataset.entry(older).deleted
+    assert bar.value() == 2
+
+
+def test_after_a_campaign_the_focus_is_on_the_page(page):
+    target = page.view.target
+    target.start.setFocus()
+    page.begin()
+    assert page.view.hasFocus()
+    page.bench.set_state(RunState.IDLE)
+    page.tell(RunFinished(2.0, "run", "finished", "done"))
+    assert page.view.hasFocus()
+
+
+def test_a_discarded_probe_can_be_collected_again_without_a_restart(page):
+    dataset = page.presenter.dataset
+    plan = new_campaign("pot", "circle15", "random", 0, PROBES, None)
+    replace(plan, uuid=CAMPAIGN).save(dataset.folder)
+    page.presenter._read_campaign()
+    page.settle()
+    target = page.view.target
+    assert (target.bar.value(), target.bar.maximum()) == (PROBES, PROBES)
+    assert not target.go_on.isEnabled()
+    page.presenter.probes.choose(page.uuids[0])
+    page.press(KEY.Key_Backspace)
+    page.settle()
+    assert target.bar.value() == PROBES - 1
+    assert target.go_on.isEnabled()
+
+
+def test_the_check_of_the_origin_is_dated_used_once_and_remembered(page, qapp, tmp_path):
+    page.begin()
+    page.tell(OriginChecked(1.0, (0.25, -0.5), 0.11, True))
+    target = page.view.target
+    assert "x +0.25, y \N{MINUS SIGN}0.50" in target.residual.text()
+    assert not target.take.isEnabled() or page.presenter.origin.note is not None
+    page.bench.set_state(RunState.IDLE)
+    page.tell(RunFinished(2.0, "run", "finished", "done"))
+    target.take.click()
+    target.take.click()
+    assert (target.origin[0].value(), target.origin[1].value()) == (0.25, -0.5)
+    assert note_of(page.workspace.memory()["origin"]) == page.presenter.origin.note
+
+
+def test_the_origin_is_set_where_the_arm_was_jogged_to(page):
+    page.begin()
+    page.tell(OriginChecked(1.0, (0.25, -0.5), 0.11, True))
+    page.bench.set_state(RunState.IDLE)
+    page.tell(RunFinished(2.0, "run", "finished", "done"))
+    page.bench.turn(0.08)
+    (x_mm, y_mm, _), target = page.bench.devices["arm"].poses.since(0).values[-1], page.view.target
+    target.here.click()
+    assert [field.value() for field in target.origin] == [x_mm, y_mm]
+    # A check of another origin says nothing about this one.
+    assert page.presenter.origin.note is None
+    page.bench.turn(3.0)
+    page.bench.devices["arm"].poses.clear()
+    target.origin[0].setValue(7.0)
+    target.here.click()
+    assert target.origin[0].value() == 7.0
+
+
+def test_in_contact_nothing_starts_and_a_lift_is_offered(page):
+    steps = []
+    jog = SimpleNamespace(step=lambda *asked: steps.append(asked), active=False)
+    page.bench.hand = SimpleNamespace(
+        pressing_n=3.0, active=False, powered=True, switching=False, holding=True, jog=jog
+    )
+    settle(page.main)
+    target = page.view.target
+    assert not target.start.isEnabled()
+    assert target.why_not.text() == "In contact: lift first."
+    assert target.lift.isVisible()
+    target.lift.click()
+    assert steps == [("z", "XYZ", 5.0, 5.0)]
+    page.bench.hand.pressing_n = 0.0
+    settle(page.main)
+    assert target.start.isEnabled()
+    assert not target.lift.isVisible()
+    page.bench.hand = None
+
+
+def test_a_hand_at_the_jaws_is_asked_for_and_confirmed_by_f5(page):
+    target = page.view.target
+    target.hand_over.setChecked(True)
+    page.press(KEY.Key_F5)
+    assert page.bench.started[0].hand_over
+    page.begin()
+    page.tell(HandOverAwaited(0.5, "pot", gives=True))
+    assert target.why_not.text() == "Hold the pot between the jaws: they close on it."
+    assert (target.start.text(), target.start.isEnabled()) == ("Confirm", True)
+    page.press(KEY.Key_F5)
+    assert page.bench.answers == [True]
+    settle(page.main)
+    assert (target.start.text(), target.start.isEnabled()) == ("Start collecting", False)
+    page.press(KEY.Key_F5)
+    assert page.bench.answers == [True]
+    assert len(page.bench.started) == 1

@@ -1,0 +1,180 @@
+"""The Collect half: form, keys, lists and maps."""
+
+import numpy as np
+from PySide6.QtCore import QPoint, Qt
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QMenu
+
+from backend.catalogue.values import EpisodeFilter
+from backend.dataset.coverage import coverage
+from backend.objects.catalogue import load_catalogue
+from backend.runs.requests import CollectRequest, RunState
+from tests.app.collect.conftest import PROBES
+from tests.app.conftest import settle
+from widgets.distribution_view import NEAR_PX
+from widgets.episode_table import DOWN, HEADS, Arrangement
+
+KEY = Qt.Key
+
+
+def test_start_hands_over_the_form_and_the_dataset(page):
+    target = page.view.target
+    target.count.setValue(7)
+    target.per_grip.setValue(3)
+    target.within.setValue(4.0)
+    target.pattern.setCurrentIndex(target.pattern.findData("grid"))
+    target.ask.setChecked(False)
+    page.press(KEY.Key_F5)
+    assert page.bench.started == [
+        CollectRequest("pot", "circle15", 7, 0, "grid", "Ann", 4.0, probes_per_grip=3)
+    ]
+    assert page.bench.dataset is page.presenter.dataset
+    page.press(KEY.Key_F5)
+    assert len(page.bench.started) == 1
+
+
+def test_the_first_range_is_any_displacement(page):
+    page.press(KEY.Key_F5)
+    (asked,) = page.bench.started
+    assert asked.within_mm is None
+    assert asked.ask
+
+
+def test_the_dataset_is_shown_before_anybody_is_named(unnamed, qtbot):
+    page = unnamed
+    qtbot.waitUntil(lambda: page.presenter.dataset is not None, timeout=60_000)
+    page.settle()
+    assert page.presenter.person == ""
+    assert len(page.uuids) == PROBES
+    assert len(page.view.distribution.scene.points_mm) == PROBES
+    assert not page.presenter.dataset.writable
+    page.press(KEY.Key_F5)
+    assert page.bench.started == []
+
+
+def test_a_pair_without_episodes_shows_its_bottom(unnamed):
+    target = unnamed.view.target
+    target.bottom.setCurrentIndex(target.bottom.findData("circle25"))
+    unnamed.settle()
+    assert len(unnamed.view.coverage.scene.bottom)
+    assert unnamed.view.table.rows() == []
+
+
+def test_each_half_has_its_own_key(page):
+    both = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier
+    page.press(KEY.Key_L, both)
+    assert page.workspace.page.front == "label"
+    page.press(KEY.Key_C, both)
+    assert page.workspace.page.front == "collect"
+
+
+def test_nobody_cannot_start(page):
+    page.presenter.person = ""
+    settle(page.main)
+    assert not page.view.target.start.isEnabled()
+    assert page.view.target.start.toolTip().startswith("Say who collects")
+    assert page.view.target.why_not.isVisible()
+    assert page.view.target.why_not.text() == f"{page.view.target.start.toolTip()}."
+
+
+def test_maps_and_table_show_what_the_dataset_holds(page):
+    dataset = page.presenter.dataset
+    entries = dataset.episodes(EpisodeFilter())
+    truth = [dataset.labels.head(e.uuid).label.offset_mm for e in entries]
+    assert page.uuids == [e.uuid for e in entries]
+    scene = page.view.distribution.scene
+    np.testing.assert_allclose(scene.points_mm, truth)
+    last = [dataset.read(e.uuid).observation[-1] for e in entries]
+    page.view.signal.setCurrentIndex(4)
+    settle(page.main)
+    shown = page.view.distribution.scene
+    np.testing.assert_allclose(shown.values, [row[254] for row in last], rtol=1e-6)
+    catalogue = load_catalogue()
+    faces = (catalogue.piece("pot").face, catalogue.piece("circle15").face)
+    counts = coverage(np.array(truth), *faces).counts
+    np.testing.assert_array_equal(page.view.coverage.scene.bins.counts, counts)
+    assert counts.sum() == PROBES
+
+
+def test_a_click_on_a_dot_chooses_its_episode(page):
+    view = page.view.distribution
+    area, points = view.area(), view.scene.points_mm
+    away = np.hypot(*(points[:, None] - points).T) + 1e3 * np.eye(len(points))
+    at = int(away.min(axis=1).argmax())
+    spot = QPoint(round(area.x(points[at, 0])), round(area.y(points[at, 1])))
+    QTest.mouseClick(view, Qt.MouseButton.LeftButton, pos=spot)
+    settle(page.main)
+    assert page.presenter.probes.chosen == page.uuids[at] or at == PROBES - 1
+    row = page.view.table.currentIndex().row()
+    assert page.view.table.rows()[row].uuid == page.uuids[at]
+    edge = QPoint(round(area.rect.right() + 2 * NEAR_PX), 4)
+    QTest.mouseClick(view, Qt.MouseButton.LeftButton, pos=edge)
+    settle(page.main)
+    assert page.view.table.rows()[page.view.table.currentIndex().row()].uuid == page.uuids[at]
+
+
+def test_a_person_who_types_keeps_the_focus(page):
+    page.press(KEY.Key_U, Qt.KeyboardModifier.ControlModifier)
+    page.bench.set_state(RunState.RUNNING)
+    settle(page.main)
+    assert not page.view.target.start.isEnabled()
+    assert page.view.target.person.hasFocus()
+
+
+def test_the_list_is_sorted_by_a_click_and_its_columns_are_chosen_and_remembered(page, qtbot):
+    table, head = page.view.table, page.view.table.horizontalHeader()
+    page.presenter.probes.choose(page.uuids[1])
+    settle(page.main)
+
+    def click(column):
+        at = QPoint(head.sectionViewportPosition(column) + 8, head.height() // 2)
+        QTest.mouseClick(head.viewport(), Qt.MouseButton.LeftButton, pos=at)
+
+    click(3)
+    away = [row.distance_mm for row in table.rows()]
+    assert away == sorted(away)
+    click(3)
+    assert [row.distance_mm for row in table.rows()] == away[::-1]
+    assert table.chosen() == page.presenter.probes.shown
+    said = [table.model().headerData(k, Qt.Orientation.Horizontal, Qt.ItemDataRole.DisplayRole)
+            for k in range(len(HEADS))]  # fmt: skip
+    assert said == [*HEADS[:3], f"{HEADS[3]} {DOWN}", *HEADS[4:]]
+    assert table.isColumnHidden(HEADS.index("Person"))
+    table.choose_columns()
+    menu = table.findChild(QMenu)
+    for name in ("Person", "Time"):
+        next(a for a in menu.actions() if a.text() == name).trigger()
+    menu.close()
+    assert not table.isColumnHidden(HEADS.index("Person"))
+    assert {row.cells()[-1] for row in table.rows()} == {"setup"}
+    memory = page.workspace.memory()
+    table.arrange(Arrangement())
+    assert page.workspace.recall(memory) == []
+    assert table.arrangement == Arrangement(
+        (*HEADS[:4], "Person"), sort="x, y (mm)", descending=True
+    )
+    assert page.workspace.recall({**memory, "list": {"columns": ["Mood"]}}) == ["list"]
+    for column in range(len(HEADS)):
+        table.show_column(column, shown=False)
+    assert not all(table.isColumnHidden(column) for column in range(len(HEADS)))
+
+
+def test_keys_of_one_half_do_nothing_in_the_other(page):
+    page.workspace.page.show_half("label")
+    page.settle()
+    page.press(KEY.Key_F5)
+    page.press(KEY.Key_P)
+    assert page.bench.started == []
+    before = {e.uuid: e.state for e in page.presenter.dataset.episodes()}
+    page.workspace.page.show_half("collect")
+    for key in (KEY.Key_Left, KEY.Key_D, KEY.Key_PageDown, KEY.Key_V):
+        page.press(key)
+    page.settle()
+    assert {e.uuid: e.state for e in page.presenter.dataset.episodes()} == before
+
+
+def test_no_key_of_the_workspace_clashes(page):
+    keys = [row.key for row in page.main.actions.rows if row.context == "collect" and row.key]
+    assert len(keys) == len(set(keys))
+    names = [row.id for row in page.main.actions.rows if row.command is not None]
+    assert len(names) == len(set(names))

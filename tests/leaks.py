@@ -104,8 +104,16 @@ def _child_numbers(parent: int) -> set[int]:
     """Return the ids of the children; Linux keeps a list, elsewhere every process is looked at."""
     lists = [path / "children" for path in Path(f"/proc/{parent}/task").glob("*")]
     if lists and lists[0].exists():
-        return {int(word) for path in lists if path.exists() for word in path.read_text().split()}
+        return {int(word) for path in lists for word in _read(path).split()}
     return {child.pid for child in psutil.Process(parent).children()}
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text("utf-8")
+    except (FileNotFoundError, ProcessLookupError):
+        # The thread whose list this is has ended.
+        return ""
 
 
 def _childless() -> bool:

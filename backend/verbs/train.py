@@ -22,7 +22,18 @@ JSON_VERSION = 1
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    defaults = TrainingSettings()
+    _add_data(parser)
+    _add_training(parser, TrainingSettings())
+    parser.add_argument("--threads", type=int, default=1, help="processor threads (default: 1)")
+    parser.add_argument(
+        "--out", type=Path, help="model file (default: <piece>.safetensors in the present folder)"
+    )
+    parser.add_argument(
+        "--resume", action="store_true", help="go on with an interrupted training of the same model"
+    )
+
+
+def _add_data(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "data", type=Path, help="a dataset, or the folder that 'touchdown simulate --out' wrote"
     )
@@ -34,6 +45,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="which labels of a dataset count: approved ones; also those that wait for review; "
         "also what a simulated bench noted itself (default: %(default)s)",
     )
+    parser.add_argument(
+        "--divide-series",
+        action="store_true",
+        help="hold out whole grips where there are fewer than 30 mountings: figures are then too "
+        "good, as validation knows the errors of the mounting (default: whole series)",
+    )
+
+
+def _add_training(parser: argparse.ArgumentParser, defaults: TrainingSettings) -> None:
     parser.add_argument(
         "--modality",
         choices=("FT", "Tac", "FT+Tac"),
@@ -62,24 +82,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of first weights, order and split (default: %(default)s)",
     )
     parser.add_argument(
-        "--divide-series",
-        action="store_true",
-        help="hold out whole grips where there are fewer than 30 mountings: figures are then too "
-        "good, as validation knows the errors of the mounting (default: whole series)",
-    )
-    parser.add_argument(
         "--precision",
         choices=("float32", "bfloat16"),
         default=defaults.precision,
         help="of the products of a step; bfloat16 halves the time where the processor computes in "
         "it, and is refused elsewhere (default: %(default)s)",
-    )
-    parser.add_argument("--threads", type=int, default=1, help="processor threads (default: 1)")
-    parser.add_argument(
-        "--out", type=Path, help="model file (default: <piece>.safetensors in the present folder)"
-    )
-    parser.add_argument(
-        "--resume", action="store_true", help="go on with an interrupted training of the same model"
     )
 
 

@@ -3,6 +3,7 @@
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QPushButton
 from scipy.stats import binomtest
 
 from app.settings import load_settings
@@ -302,7 +303,8 @@ def test_closing_while_running_asks_and_stops_first(live, bench):
     bench.set_state(RunState.RUNNING)
     assert not live.window.close()
     assert live.window.isVisible()
-    live._stop_and_close()
+    answers = live.window.findChildren(QPushButton)
+    next(button for button in answers if button.text() == "Stop and close").click()
     assert bench.stops == 1
     assert not live.window.isVisible()
 

@@ -124,7 +124,9 @@ def test_the_train_verb_takes_a_dataset(tmp_path: Path, capfd: pytest.CaptureFix
     words = ["train", str(folder), "--epochs", "1", "--out", str(out), "--json"]
     assert main(words) == 2
     assert "--labels" in capfd.readouterr().err
-    assert main([*words, "--labels", "drafts"]) == 0
+    assert main([*words, "--labels", "drafts"]) == 2
+    assert "--divide-series" in capfd.readouterr().err, "one series cannot be kept apart"
+    assert main([*words, "--labels", "drafts", "--divide-series"]) == 0
     answer = json.loads(capfd.readouterr().out)
     assert (answer["episodes"], answer["piece"]) == (24, "pot")
     assert out.exists()

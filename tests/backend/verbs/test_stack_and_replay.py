@@ -76,7 +76,9 @@ def test_the_shipped_model_is_the_one_recorded(
     call(capsys, "stack", "--inject", "tactile_left:stop@0.5", "--runs", str(runs))
     head = (next(runs.glob("*")) / NAME).read_text("utf-8").splitlines()[1]
     settings = json.loads(json.loads(head)["settings"])
-    assert set(settings) == {"request", "method", "simulation", "disturbances", "model", "program"}
+    assert set(settings) == {
+        "request", "method", "simulation", "disturbances", "model", "program", "limits",
+    }  # fmt: skip
     assert settings["disturbances"] == ["tactile_left:stop@0.5"]
     assert len(settings["model"]["weights_sha256"]) == 64
 

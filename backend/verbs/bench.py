@@ -13,7 +13,7 @@ from rich.table import Table
 from backend.config.hardware import PLACEHOLDERS
 from backend.config.lab import Lab, LabSettings, load_lab
 from backend.config.method import Settings
-from backend.core.faults import InputError
+from backend.verbs.new_file import write_new
 from backend.verbs.screen import Screen
 
 NAME = "bench"
@@ -138,12 +138,4 @@ def _connect(file: Path, screen: Screen) -> int:
 
 def _write_template(path: Path) -> None:
     text = files("resources").joinpath("benches", TEMPLATE).read_text("utf-8")
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except OSError as error:
-        raise InputError(
-            f"The file cannot be written: {error.strerror or error}.",
-            str(path),
-            "Name a new file in a folder that can be written.",
-        ) from error
+    write_new(path, text)

@@ -12,6 +12,7 @@ from rich.table import Table
 from backend.config.load import parse, read_toml
 from backend.config.method import StackSettings
 from backend.core.faults import InputError
+from backend.verbs.new_file import write_new
 from backend.verbs.screen import Screen
 
 NAME = "settings"
@@ -38,7 +39,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     settings = load_method(args.method) if args.method else StackSettings()
     groups = settings.model_dump(mode="json", exclude=OF_THE_RUN)
     if args.write:
-        _write(args.write, as_toml(settings))
+        write_new(args.write, as_toml(settings))
     table = Table(title="Settings of the method")
     table.add_column("setting")
     table.add_column("value", justify="right")
@@ -73,15 +74,3 @@ def _lines(settings: StackSettings) -> Iterator[str]:
         yield f"\n[{group}]\n"
         # JSON and TOML write numbers, texts, flags and lists of them alike.
         yield from (f"{key} = {json.dumps(value)}\n" for key, value in values.items())
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except OSError as error:
-        raise InputError(
-            f"The file cannot be written: {error.strerror or error}.",
-            str(path),
-            "Name a new file in a folder that can be written.",
-        ) from error

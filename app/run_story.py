@@ -22,6 +22,7 @@ from backend.core.facts import (
 )
 from backend.core.flow import BeliefMap, Fall, FloatArray, Outcome, PlaceAction, Stability
 from backend.objects.clipping import overlap, ring
+from backend.runs.excuse import excused_by
 from widgets.belief_scene import BeliefScene
 
 Offset = tuple[float, float]
@@ -51,6 +52,11 @@ class TrialStory:
     finished: TrialFinished | None = None
     stands: bool | None = None
     fall: Fall | None = None
+
+    @property
+    def excuse(self) -> str:
+        """The device fault that keeps the trial out of the success rate, "" if it counts."""
+        return "" if self.finished is None else excused_by(self.finished, self.phase)
 
     def path(self, upto: int) -> tuple[Offset, ...]:
         """Offsets of the first ``upto`` probes."""

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+
+from app.run_story import TrialStory
+from backend.core.flow import Outcome
+from widgets.score_panel import Score
 
 Z_95 = 1.959964
 """Two-sided 95 % quantile of the normal distribution."""
@@ -18,3 +23,21 @@ def wilson(successes: int, trials: int, z: float = Z_95) -> tuple[float, float] 
     scale = 1 + z * z / trials
     low, high = (centre - half) / scale, (centre + half) / scale
     return max(0.0, low), min(1.0, high)
+
+
+def score_of(trials: Sequence[TrialStory], planned: int, last: str) -> Score:
+    """Return the score of a run: aborted trials count as failures, as long as no device failed.
+
+    Trials that a named device fault ended before the release are told after ``last`` instead.
+    """
+    done = [trial for trial in trials if trial.finished is not None]
+    outcomes = tuple(t.finished.outcome for t in done if t.finished is not None)
+    excuses = sorted({trial.excuse for trial in done} - {""})
+    excused = sum(bool(trial.excuse) for trial in done)
+    if excused:
+        which = "1 trial that a device fault" if excused == 1 else f"{excused} that device faults"
+        said = f"Not counted: {which} ended before the release ({', '.join(excuses)})."
+        last = f"{last} {said}".strip()
+    placed = sum(outcome is Outcome.PLACED for outcome in outcomes)
+    interval = wilson(placed, len(outcomes) - excused)
+    return Score(outcomes, planned, interval, last, excused)

@@ -24,12 +24,21 @@ WORDS: dict[Outcome, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Outcomes so far, trials planned, and the Wilson interval of the success rate (0..1)."""
+    """Outcomes so far, trials planned, and the Wilson interval of the success rate (0..1).
+
+    ``excused``: so many of the aborted ones are not counted in the rate; ``last`` says why.
+    """
 
     outcomes: tuple[Outcome, ...]
     trials: int
     interval: tuple[float, float] | None
     last: str = ""
+    excused: int = 0
+
+    @property
+    def counted(self) -> int:
+        """How many trials the rate is of."""
+        return len(self.outcomes) - self.excused
 
 
 class OutcomeMarks(QWidget):
@@ -107,7 +116,7 @@ class ScorePanel(Panel):
     def show_score(self, score: Score) -> None:
         """Show the score."""
         placed = sum(o is Outcome.PLACED for o in score.outcomes)
-        count = f"{placed} of {len(score.outcomes)} placed" if score.outcomes else "No trial yet"
+        count = f"{placed} of {score.counted} placed" if score.outcomes else "No trial yet"
         self._count.setText(count)
         done = f"{len(score.outcomes)} of {score.trials} done" if score.trials else ""
         aborted = sum(o is Outcome.ABORTED for o in score.outcomes)
@@ -115,7 +124,7 @@ class ScorePanel(Panel):
         rate = ""
         if score.interval is not None:
             low, high = (100 * bound for bound in score.interval)
-            share = 100 * placed / len(score.outcomes)
+            share = 100 * placed / score.counted
             rate = f"{share:.0f} % success, 95 % interval {low:.0f} to {high:.0f} %"
         self._rate.setText(rate)
         self._rate.setVisible(bool(rate))

@@ -21,14 +21,13 @@ from app.review.run_lines import activity_words, read_run_line
 from app.review.stored import Series, StoredEpisode
 from app.review.timed import TimedTrial, trials_of
 from app.run_story import RunStory, TrialStory
-from app.tally import wilson
+from app.tally import score_of
 from backend.core.facts import Fact
 from backend.core.faults import InputError
-from backend.core.flow import Outcome
 from backend.runs.journal import NAME, read_journal
 from widgets.decision_panel import DecisionText
 from widgets.fault_cards import CardText, FaultCards
-from widgets.score_panel import WORDS, Score
+from widgets.score_panel import WORDS
 
 MOST_RUNS = 200
 MOST_DESCRIBED = 50
@@ -311,15 +310,13 @@ class ReviewPresenter:
         return bool(self._episodes or self.timed)
 
     def _show_score(self) -> None:
-        outcomes = self.story.outcomes
-        placed = sum(o is Outcome.PLACED for o in outcomes)
         head, ended = self.story.head, self.story.ended
         last = "The journal ends before the run did." if ended is None else f"Run {ended.ending}."
         if head is not None:
             what = ", ".join(activity_words(head)) or head.strategy
             last = f"{head.piece} on {head.bottom}, {what}. {last}"
         trials = head.trials if head is not None and head.activity == "stack" else 0
-        self._page.score.show_score(Score(outcomes, trials, wilson(placed, len(outcomes)), last))
+        self._page.score.show_score(score_of(self.story.trials, trials, last))
 
 
 def run_title(name: str) -> str:
@@ -333,5 +330,7 @@ def run_title(name: str) -> str:
 
 def _trial_title(trial: TrialStory) -> str:
     word = "not finished" if trial.finished is None else WORDS[trial.finished.outcome]
+    if trial.excuse:
+        word += f" by {trial.excuse}, not counted"
     probes = "1 probe" if len(trial.probes) == 1 else f"{len(trial.probes)} probes"
     return f"{trial.trial}.  seed {trial.seed}: {word}, {probes}"

@@ -7,7 +7,7 @@ from app.link import Link
 from app.outlines import outlines
 from app.run_story import ProbeLook, RunStory, TrialStory, no_probe, scene_of
 from app.stack.page import StackPage
-from app.tally import wilson
+from app.tally import score_of
 from backend.core.facts import Fact, TrialFinished
 from backend.core.faults import InputError, RefusedError
 from backend.core.flow import Outcome
@@ -220,7 +220,6 @@ class StackPresenter:
         return kept[1]
 
     def _score(self) -> Score:
-        outcomes = self.story.outcomes
         head, last = self.story.head, ""
         for trial in reversed(self.story.trials):
             if trial.finished is not None:
@@ -228,9 +227,7 @@ class StackPresenter:
                 noun = "probe" if done.probes == 1 else "probes"
                 last = f"Seed {done.seed}: {WORDS[done.outcome]} after {done.probes} {noun}."
                 break
-        placed = sum(o is Outcome.PLACED for o in outcomes)
-        trials = head.trials if head is not None else 0
-        return Score(outcomes, trials, wilson(placed, len(outcomes)), last)
+        return score_of(self.story.trials, head.trials if head is not None else 0, last)
 
 
 def request_of(form: RunForm) -> StackRequest:

@@ -5,7 +5,7 @@ import pytest
 from app.review import presenter as review
 from app.review.page import QuietList
 from app.review.run_lines import read_run_line
-from backend.core.facts import RunFinished, RunStarted
+from backend.core.facts import PhaseEntered, RunFinished, RunStarted, TrialFinished
 from backend.core.flow import Outcome
 from backend.runs.journal import NAME, Journal
 from tests.app.stand_in import StandInBench
@@ -162,3 +162,35 @@ def test_rows_are_as_high_as_their_text_beside_the_scroll_bar(qapp, qtbot):
     assert metrics.horizontalAdvance(text) > room
     lines = -(-metrics.horizontalAdvance(text) // room)
     assert view.visualItemRect(view.item(0)).height() >= lines * metrics.height()
+
+
+def test_only_a_device_fault_before_the_release_keeps_a_trial_out_of_the_rate(main, tmp_path):
+    """Of five trials one counts as placed, one is left out: 1 of 4, by Wilson 4.6 to 69.9 %."""
+    run = tmp_path / "runs" / "20261121-041511-703"
+    bench, journal = StandInBench(), Journal(run)
+    bench.hub.subscribe(journal)
+    bench.tell_start(trials=5)
+    bench.tell_end(Outcome.PLACED)
+    for number, (phase, reason) in enumerate(
+        (
+            ("press", "stopped by operator"),
+            ("hold", "No valid force/torque sample for 0.4 s. Kept. Look. [FT-STALE]"),
+            ("release", "No valid force/torque sample for 0.4 s. Kept. Look. [FT-STALE]"),
+            ("press", "Force trip: 41.3 N. Kept. Look. [FT-TRIP]"),
+        ),
+        start=2,
+    ):
+        bench.tell_trial(number)
+        bench.hub.publish(PhaseEntered(0.0, phase, 1))
+        bench.hub.publish(TrialFinished(0.0, number, 7, Outcome.ABORTED, reason, 1, None, None))
+    bench.tell_finish()
+    journal.close()
+    main.go("review")
+    page = main.workspaces["review"].page
+    page.runs.setCurrentRow(0)
+    words = page.score.words
+    assert "1 of 4 placed" in words
+    assert "25 % success, 95 % interval 5 to 70 %" in words
+    assert "Not counted: 1 trial that a device fault ended before the release (FT-STALE)." in words
+    rows = [page.trials.item(row).text() for row in range(page.trials.count())]
+    assert ["not counted" in row for row in rows] == [False, False, True, False, False]

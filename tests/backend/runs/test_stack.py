@@ -27,6 +27,7 @@ from backend.core.facts import (
 )
 from backend.core.flow import ContactPatch, Episode, Outcome
 from backend.dataset.episode_reading import read_episode
+from backend.runs.excuse import excused_by
 from backend.runs.journal import Journal, read_journal
 from tests.backend.brisk import brisk_method
 from tests.backend.runs.oracle_bench import Oracle, OracleSession, request
@@ -144,6 +145,7 @@ def test_stop_in_every_phase_ends_the_run_and_keeps_the_piece(phase: str) -> Non
     bench.session.run(request())
     assert last_trial(bench).outcome is Outcome.ABORTED
     assert last_trial(bench).probes == len(bench.of(PatchEstimated)), "only what was felt counts"
+    assert excused_by(last_trial(bench), phase) == ""
     end = bench.facts[-1]
     assert isinstance(end, RunFinished)
     assert end.ending == "stopped"
@@ -194,6 +196,9 @@ def test_a_failing_sensor_ends_in_one_clear_fault(
     raised = faults[0]
     assert isinstance(raised, FaultRaised)
     assert (raised.fault.code, raised.fault.device) == (code, device)
+    phase = [f for f in bench.of(PhaseEntered) if isinstance(f, PhaseEntered)][-1].phase
+    assert excused_by(last_trial(bench), phase) == ("" if code == "FT-TRIP" else code)
+    assert excused_by(last_trial(bench), "release") == ""
     assert bench.benches[-1].gripper.status().holding
     assert folder is not None
     assert isinstance(list(read_journal(folder))[-1], RunFinished)

@@ -62,7 +62,7 @@ class BotaLanguage:
         self._ask(link, cancel, Request("R"))
         self._last_us = None
         identity = Identity("Bota Systems", "SensONE", self._address, "")
-        return Greeting(identity, self._settings.rated, self._period_s)
+        return Greeting(identity, self._settings.rated, self._period_s, numbered=True)
 
     def take(self, data: bytes) -> list[Reading]:
         """Return the samples; what the sensor marks invalid is NaN."""

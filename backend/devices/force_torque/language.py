@@ -39,11 +39,15 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Greeting:
-    """What a sensor told at its start: who it is, (6,) rated N and N·m, and its period."""
+    """What a sensor told at its start: who it is, (6,) rated N and N·m, and its period.
+
+    ``numbered``: it numbers its samples far enough that ``Reading.missed`` shows every loss.
+    """
 
     identity: Identity
     rated: tuple[float, ...]
     period_s: float
+    numbered: bool = False
 
 
 class Refusals(NamedTuple):

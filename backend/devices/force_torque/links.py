@@ -5,6 +5,7 @@ Addresses: the path of a serial port, ``socket://host:port``, or ``udp://host:po
 
 from __future__ import annotations
 
+import contextlib
 import socket
 from typing import Protocol
 from urllib.parse import urlsplit
@@ -37,6 +38,9 @@ class SerialLink:
     def __init__(self, path: str, baud: int, chunk: int) -> None:
         self._port = serial.Serial(path, baud, timeout=0.0, write_timeout=WRITE_S, exclusive=True)
         self._chunk = chunk
+        # The adapter shall hand over what it has at once; the system may refuse, or not know how.
+        with contextlib.suppress(OSError, ValueError, NotImplementedError, AttributeError):
+            self._port.set_low_latency_mode(True)
 
     def read(self, limit_s: float) -> bytes:
         """Return up to a few frames, as soon as they are there."""

@@ -17,6 +17,7 @@ from backend.devices.force_torque.links import Link, open_link
 from backend.devices.force_torque.netft import NetFtLanguage
 from backend.devices.force_torque.optoforce import OptoforceLanguage
 from backend.devices.force_torque.reader import ForceTorqueReader
+from backend.devices.force_torque.readout import LATE_S
 from backend.devices.offered import find_offered
 
 GROUP = "touchdown.force_torque"
@@ -51,4 +52,5 @@ def make_force_torque(
     def link(language: Language) -> Link:
         return open_link(address, baud=language.baud, chunk=language.chunk)
 
-    return ForceTorqueReader(maker, link, settings.ft, now_s, samples)
+    late_s = LATE_S if "://" in address else max(LATE_S, 1e-3 * settings.serial.latency_ms)
+    return ForceTorqueReader(maker, link, settings.ft, now_s, samples, late_s)

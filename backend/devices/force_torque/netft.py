@@ -52,7 +52,7 @@ class NetFtLanguage:
         self._last = None
         link.write(net_ft.encode_request(Request(Command.START)))
         identity = Identity("ATI", "Net F/T", self._address, "")
-        return Greeting(identity, self._settings.rated, self._period_s)
+        return Greeting(identity, self._settings.rated, self._period_s, numbered=True)
 
     def take(self, data: bytes) -> list[Reading]:
         """Return the samples of one datagram that are newer than all before."""

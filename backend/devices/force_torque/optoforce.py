@@ -52,7 +52,7 @@ class OptoforceLanguage:
             raise NotAnsweredError(f"The sensor refuses its configuration ({ack.status})")
         self._last = None
         identity = Identity("OnRobot", "HEX", self._address, "")
-        return Greeting(identity, self._capacity, 1.0 / SPEED_HZ[SPEED])
+        return Greeting(identity, self._capacity, 1.0 / SPEED_HZ[SPEED], numbered=True)
 
     def take(self, data: bytes) -> list[Reading]:
         """Return the samples of six axes."""

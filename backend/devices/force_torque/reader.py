@@ -15,7 +15,7 @@ from backend.core.stream import SampleStream
 from backend.devices.force_torque.faults import NAME, OVERLOAD, link_fault, sensor_fault
 from backend.devices.force_torque.language import Greeting, Language, NotAnsweredError
 from backend.devices.force_torque.links import Link
-from backend.devices.force_torque.readout import Readout
+from backend.devices.force_torque.readout import LATE_S, Readout
 from backend.devices.protocols import DeviceState, Health, Identity
 from backend.devices.steps import Steps
 from backend.wire.framing import WireError
@@ -31,7 +31,10 @@ WIRE_TROUBLE = (OSError, WireError, NotAnsweredError)
 
 
 class ForceTorqueReader:
-    """``language`` makes one for each connection; samples are stamped by ``now_s``."""
+    """``language`` makes one for each connection; samples are stamped in the time of ``now_s``.
+
+    ``late_s``: how late the wire may hand over a sample that was not lost.
+    """
 
     name = NAME
 
@@ -42,7 +45,9 @@ class ForceTorqueReader:
         settings: ForceTorqueSettings,
         now_s: Callable[[], float],
         samples: SampleStream | None = None,
+        late_s: float = LATE_S,
     ) -> None:
+        self._late_s = late_s
         self._new_language, self._open_link = language, open_link
         self._settings, self._now_s = settings, now_s
         self._samples = samples or SampleStream(self.name, 6, CAPACITY)
@@ -172,7 +177,8 @@ class ForceTorqueReader:
 
     def _start(self, link: Link, language: Language) -> None:
         period_s = self._greeting.period_s if self._greeting else 1.0
-        self._readout = Readout(self._settings, period_s)
+        numbered = self._greeting is not None and self._greeting.numbered
+        self._readout = Readout(self._settings, period_s, self._late_s, numbered=numbered)
         self._stop.clear()
         self._first.clear()
         self._received = self._resynchronised = 0

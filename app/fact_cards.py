@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import datetime
 from typing import Protocol
 
@@ -14,6 +15,8 @@ from backend.core.facts import (
     Fact,
     FaultRaised,
     FaultsReset,
+    Paused,
+    PhaseEntered,
     Refused,
     RunFinished,
     RunStarted,
@@ -41,12 +44,16 @@ def note(fact: Fact) -> None:
         log.warning("fault %s: %s", fact.fault.code, fact.fault.what)
     elif isinstance(fact, FaultsReset):
         log.info("reset by the operator")
+    elif isinstance(fact, Paused):
+        log.warning("paused %s: %s", fact.fault.code, fact.fault.what)
     elif isinstance(fact, Refused):
         log.info("refused %s: %s", fact.reason, fact.text)
 
 
 def tell(fact: Fact, link: Link | None, cards: FaultCards, say: Say) -> None:
     """Show a fact to the operator, if it is one that the frame tells."""
+    if isinstance(fact, PhaseEntered | RunFinished):
+        cards.clear(cards.obstacles)
     if isinstance(fact, FaultRaised):
         cards.show_card(card_of(fact.fault, clock()))
     elif isinstance(fact, Refused):
@@ -56,6 +63,8 @@ def tell(fact: Fact, link: Link | None, cards: FaultCards, say: Say) -> None:
         why = "" if link is None else why_no_run(link)
         if link is not None and why:
             say(f"{why}.", lambda: why_no_run(link) == why)
+    elif isinstance(fact, Paused):
+        cards.show_card(replace(card_of(fact.fault, clock()), reset=False, obstacle=True))
     elif isinstance(fact, RunStarted):
         say("")
         cards.pass_on()

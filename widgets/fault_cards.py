@@ -32,6 +32,7 @@ class CardText:
 
     ``passing``: an order was refused; the next one that is carried out removes it. ``notice``: said
     once; another wording under the same code is another card, and none makes room unread.
+    ``obstacle``: a run waits until it is removed; the card goes when the run goes on.
     """
 
     code: str
@@ -43,6 +44,7 @@ class CardText:
     at: str = ""
     passing: bool = False
     notice: bool = False
+    obstacle: bool = False
 
     @property
     def key(self) -> str:
@@ -167,6 +169,11 @@ class FaultCards(QWidget):
     def codes(self) -> tuple[str, ...]:
         """Codes of the cards shown, oldest first."""
         return tuple(card.text.code for card in self._cards.values())
+
+    @property
+    def obstacles(self) -> tuple[str, ...]:
+        """Codes of the cards of what a run waits for."""
+        return tuple(card.text.code for card in self._cards.values() if card.text.obstacle)
 
     def card(self, code: str) -> FaultCard:
         """Return the newest card of ``code``; raises KeyError."""

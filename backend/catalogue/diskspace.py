@@ -10,6 +10,8 @@ from backend.core.faults import InputError
 
 LEAST_BYTES = 1_000_000_000
 LEAST_EPISODES = 100
+GO_ON_BYTES = 500_000_000
+"""A campaign that has begun pauses below this: catalogue and journals still need room."""
 EPISODE_BYTES = 3_700_000
 """Size of an episode with JPEG pictures of real gels; simulated ones are smaller."""
 
@@ -29,10 +31,7 @@ def room_for(folder: Path, episodes: int, bytes_each: int = EPISODE_BYTES) -> Ro
     Raises ``InputError`` if less than 1 GB is free, or less than 100 episodes take: a disk that is
     nearly full is seldom filled by one program alone. Whoever plans more may warn by ``enough``.
     """
-    place = folder.absolute()
-    while not place.exists():
-        place = place.parent
-    free = shutil.disk_usage(place).free
+    place, free = _free(folder)
     needed = max(LEAST_BYTES, LEAST_EPISODES * bytes_each)
     if free < needed:
         raise InputError(
@@ -42,3 +41,17 @@ def room_for(folder: Path, episodes: int, bytes_each: int = EPISODE_BYTES) -> Ro
         )
     fit = free // max(1, bytes_each)
     return Room(free, fit, fit >= episodes)
+
+
+def free_to_go_on(folder: Path) -> int | None:
+    """Return the free bytes where too few are left to record another episode, else None."""
+    _, free = _free(folder)
+    return free if free < GO_ON_BYTES else None
+
+
+def _free(folder: Path) -> tuple[Path, int]:
+    """Return the nearest folder that exists, and the free bytes of its disk."""
+    place = folder.absolute()
+    while not place.exists():
+        place = place.parent
+    return place, shutil.disk_usage(place).free

@@ -239,11 +239,12 @@ class HandOverAwaited(Fact):
     """The campaign waits for the operator's hand at the jaws; nothing moves until they confirm.
 
     ``gives``: they hold ``piece`` between the open jaws, which then close; else they take hold of
-    it, and the jaws open.
+    it, and the jaws open. ``anew``: they fit ``piece``, the bottom, and the gels anew instead.
     """
 
     piece: str
     gives: bool
+    anew: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,6 +284,16 @@ class EpisodeDecided(Fact):
 @dataclass(frozen=True, slots=True)
 class FaultRaised(Fact):
     """A fault was latched."""
+
+    fault: Fault
+
+
+@dataclass(frozen=True, slots=True)
+class Paused(Fact):
+    """The run paused by itself at a safe place and loses nothing: it goes on when it is resumed.
+
+    ``fault``: what keeps it from going on; nothing is latched.
+    """
 
     fault: Fault
 

@@ -83,19 +83,28 @@ class EpisodeRecorder:
         self.dataset = dataset
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="collect-writer")
         self._pending: Future[EpisodeEntry] | None = None
+        self._newest: tuple[Episode, Label, EpisodeContext] | None = None
 
     def record(self, episode: Episode, label: Label, context: EpisodeContext) -> None:
         """Begin to record; the one before must have been settled."""
         assert self._pending is None
-        self._pending = self._writer.submit(
-            self.dataset.record, episode, label, source=MEASURED, context=context
-        )
+        self._newest = episode, label, context
+        self._pending = self._begin()
 
     def settle(self) -> EpisodeEntry:
-        """Return the entry of the last episode once it is durable; raises what prevented it."""
-        pending, self._pending = self._pending, None
-        assert pending is not None
+        """Return the entry of the last episode once it is durable; raises what prevented it.
+
+        Asked again after that, it tries once more: the episode is still held.
+        """
+        pending, self._pending = self._pending or self._begin(), None
         return pending.result()
+
+    def _begin(self) -> Future[EpisodeEntry]:
+        assert self._newest is not None
+        episode, label, context = self._newest
+        return self._writer.submit(
+            self.dataset.record, episode, label, source=MEASURED, context=context
+        )
 
     def close(self) -> None:
         """End the thread; an episode on its way is still written."""

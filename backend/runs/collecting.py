@@ -14,11 +14,12 @@ from backend.core.facts import (
     DecisionAwaited,
     EpisodeDecided,
     EpisodeRecorded,
+    FaultRaised,
     Gripped,
     ProbeCollected,
     Said,
 )
-from backend.core.faults import RefusedError
+from backend.core.faults import FaultError, RefusedError
 from backend.core.flow import Episode, Pose
 from backend.dataset.coverage import Coverage
 from backend.runs import words
@@ -39,6 +40,7 @@ from backend.runs.motions import MOVE_S, lift, rest
 from backend.runs.origin_check import check_origin
 from backend.runs.plan import Checkpoint, Plan, Waiting, motion_done
 from backend.runs.probe import press_once, scene_pictures
+from backend.runs.room import FULL, refused_episode, room_awaited
 from backend.sensing.episode import EpisodeLimits
 
 OPERATOR_S = 24 * 3600.0
@@ -95,16 +97,25 @@ class Collector:
             held = replace(context, grip_id=f"{context.mounting_id}/grip-{grip}")
             yield from self._grip(bench, target, origin, held)
             yield from put_back(bench)
-            yield from self.settle(bench)
+            yield from self._settled(bench)
             yield from self._carry_out(bench)
         return True
 
     def settle(self, bench: Bench) -> Plan[None]:
-        """Announce the probe before, once it is durable."""
-        taken, self._taken = self._taken, None
+        """Announce the probe on which a mounting ended early; a disk that refuses it is a fault."""
+        try:
+            yield from self._settled(bench, waits=False)
+        except FaultError as cause:
+            bench.interlock.raise_fault(cause.fault)
+            yield FaultRaised(bench.now_s(), cause.fault)
+
+    def _settled(self, bench: Bench, *, waits: bool = True) -> Plan[None]:
+        """Announce the probe before, once it is durable; ``waits`` for room on a full disk."""
+        taken = self._taken
         if taken is None:
             return
-        entry = self.recorder.settle()
+        entry = yield from self._durable(waits=waits)
+        self._taken = None
         episode, where = taken.felt.episode, taken.where
         if entry.quality.accepted:
             self.done += 1
@@ -140,6 +151,18 @@ class Collector:
 
     # -- inside -----------------------------------------------------------------------------------
 
+    def _durable(self, *, waits: bool) -> Plan[EpisodeEntry]:
+        """Return the entry of the last probe; a full disk pauses the campaign until it is there."""
+        while True:
+            try:
+                return self.recorder.settle()
+            except FaultError as error:
+                if error.fault.code != FULL or not waits:
+                    self._taken = None
+                    raise
+                obstacle = refused_episode(error.fault)
+            yield Checkpoint(obstacle)
+
     def _grip(
         self, bench: Bench, target: Target, origin: Origin, context: EpisodeContext
     ) -> Plan[None]:
@@ -151,6 +174,7 @@ class Collector:
             yield from self._carry_out(bench)
             if not self.todo:
                 return
+            yield from room_awaited(self.recorder.dataset.folder)
             item = self.todo[0]
             wanted = planned_mm(
                 self.campaign.pattern, target, self.campaign.seed, item,
@@ -160,7 +184,7 @@ class Collector:
             first_mm = taken.where.contact_mm if first_mm is None else first_mm
             self._enter(taken, replace(context, plan_item=item))
             if self.ask:
-                yield from self.settle(bench)
+                yield from self._settled(bench)
                 yield from self._asked(bench)
             slip_mm = taken.felt.episode.quality.slip_mm
             if not slip_mm <= SLIP_MM:
@@ -190,7 +214,7 @@ class Collector:
         else:
             motion = bench.arm.move_to(place, probe.travel_mm_s)
             yield from motion_done(motion, MOVE_S, "the arm to shift")
-        yield from self.settle(bench)
+        yield from self._settled(bench)
         felt = yield from press_once(bench, self._probes, np.array(wanted_mm))
         where = measured(felt.episode, origin, bench.settings.collect)
         yield from lift(bench, self._probes)

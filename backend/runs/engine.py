@@ -19,6 +19,7 @@ from backend.core.facts import (
     Fact,
     FaultRaised,
     PatchEstimated,
+    Paused,
     PhaseEntered,
     RunFinished,
     RunStarted,
@@ -182,15 +183,20 @@ class Engine:
             self._waiting = step
             self._deadline_s = self._now_s() + step.timeout_s
         elif isinstance(step, Checkpoint):
-            return self._checkpoint()
+            return self._checkpoint(step)
         return True
 
-    def _checkpoint(self) -> bool:
+    def _checkpoint(self, place: Checkpoint) -> bool:
+        obstacle = place.obstacle
         with self._lock:
-            if self._status.state is RunState.PAUSING:
-                self._status = replace(self._status, state=RunState.PAUSED, text="Paused")
-                return False
-        return True
+            asked = self._status.state is RunState.PAUSING
+            if not asked and (obstacle is None or self._status.state is not RunState.RUNNING):
+                return True
+            text = "Paused" if obstacle is None else obstacle.what
+            self._status = replace(self._status, state=RunState.PAUSED, text=text)
+        if obstacle is not None:
+            self._publish(Paused(self._now_s(), obstacle))
+        return False
 
     def _publish(self, fact: Fact) -> None:
         with self._lock:

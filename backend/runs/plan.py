@@ -34,7 +34,12 @@ class Waiting:
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """A safe place to pause: the arm is lifted and nothing moves."""
+    """A safe place to pause: the arm is lifted and nothing moves.
+
+    ``obstacle``: the run pauses here by itself until the operator has removed it and resumes.
+    """
+
+    obstacle: Fault | None = None
 
 
 R = TypeVar("R")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import getpass
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,11 +18,12 @@ from backend.core.facts import (
     FaultRaised,
     Gripped,
     HandOverAwaited,
+    Paused,
     ProbeCollected,
     RunFinished,
     Said,
 )
-from backend.core.faults import InputError
+from backend.core.faults import Fault, InputError
 from backend.runs.requests import CollectRequest
 from backend.runs.store import calibrations_folder, data_folder, dataset_folder
 from backend.runs.words import hand_over
@@ -121,7 +122,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
             session.dataset = dataset
             # The bar begins with the campaign: bad words are refused before anything is said.
             with ExitStack() as bars, ctrl_c_cancels(session.engine.cancel):
-                told = _Told(screen, bars, session.answer)
+                told = _Told(screen, bars, session)
                 session.hub.subscribe(told.take)
                 session.run(_request(args, dataset, person))
         return _report(dataset, session, told, screen)
@@ -130,8 +131,9 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
 class _Told:
     """What the run told so far, and the bar that follows it."""
 
-    def __init__(self, screen: Screen, bars: ExitStack, confirm: Callable[[bool], None]) -> None:
-        self._screen, self._bars, self._confirm = screen, bars, confirm
+    def __init__(self, screen: Screen, bars: ExitStack, session: Session) -> None:
+        self._screen, self._bars, self._confirm = screen, bars, session.answer
+        self._engine = session.engine
         self.advance: Advance | None = None
         self.began: CampaignBegan | None = None
         self.ended: RunFinished | None = None
@@ -158,12 +160,27 @@ class _Told:
             self._screen.say(f"  {hand_over(fact)} Enter confirms.")
             # The end of standard input is a no: nobody is there to hold anything.
             self._confirm(sys.stdin.readline() != "")
+        elif isinstance(fact, Paused):
+            self._paused(fact.fault)
         elif isinstance(fact, Said):
             self._screen.say(f"  {fact.text}")
         elif isinstance(fact, FaultRaised):
             self.faults.append(fact.fault.code)
         elif isinstance(fact, RunFinished):
             self.ended = fact
+
+    def _paused(self, fault: Fault) -> None:
+        """Wait for the operator; where nobody can answer the campaign ends, to be resumed later."""
+        self._screen.say(f"  {fault.what} {fault.consequence}")
+        if not self._screen.json:
+            self._screen.say(
+                "  Make room on this disk, then press Enter. Ctrl-D ends the campaign."
+            )
+        if not self._screen.json and sys.stdin.readline():
+            self._engine.resume()
+        else:
+            self.faults.append(fault.code)
+            self._engine.cancel()
 
     def _move(self, done: int, total: int, text: str) -> None:
         if self.advance is not None:

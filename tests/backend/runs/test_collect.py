@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from backend.assembly import simulated_session
+from backend.catalogue import diskspace
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.values import EpisodeFilter
 from backend.core.facts import (
@@ -15,13 +17,15 @@ from backend.core.facts import (
     DecisionAwaited,
     EpisodeDecided,
     Gripped,
+    Paused,
+    PhaseEntered,
     ProbeCollected,
     RunFinished,
 )
 from backend.core.faults import Fault, FaultError, InputError, RefusedError
 from backend.runs import jig
 from backend.runs.campaign import newest_campaign, read_campaign
-from backend.runs.requests import CollectRequest
+from backend.runs.requests import CollectRequest, RunState
 from backend.sensing.board import Homography
 from backend.session import Keep
 from tests.backend.brisk import RATE_HZ, brisk_bench, brisk_method
@@ -221,22 +225,89 @@ def test_stop_works_while_a_decision_is_awaited(tmp_path) -> None:
         assert len(collected.entries) == 1
 
 
-def test_a_full_disk_ends_the_campaign_and_loses_nothing(tmp_path, monkeypatch) -> None:
+def test_a_disk_that_refuses_an_episode_pauses_the_campaign_and_loses_nothing(
+    tmp_path, monkeypatch
+) -> None:
     with collecting(tmp_path / "ds") as collected:
-        record, full = collected.dataset.record, []
+        record, session = collected.dataset.record, collected.session
+        refusals = []
+
+        def recorded(episode, *args, **named):
+            if len(collected.entries) == 1 and len(refusals) < 2:
+                refusals.append(episode)
+                raise FaultError(Fault("DISK-FULL", "The disk is full.", "Not recorded.", "Room."))
+            return record(episode, *args, **named)
+
+        monkeypatch.setattr(collected.dataset, "record", recorded)
+        states = []
+
+        def resume(fact):
+            if isinstance(fact, Paused):
+                states.append((session.status().state, session.status().text))
+                session.engine.resume()
+
+        session.hub.subscribe(resume)
+        collected.run(count=3)
+        assert states == [(RunState.PAUSED, "The disk is full.")] * 2
+        assert "in memory" in collected.of(Paused)[0].fault.consequence
+        assert collected.of(RunFinished)[-1].ending == "finished"
+        assert session.interlock.faults == ()
+        assert [entry.plan_item for entry in collected.entries] == [0, 1, 2]
+        kept = collected.dataset.read(collected.entries[1].uuid)
+        assert np.array_equal(kept.observation, refusals[0].observation)
+
+
+def test_a_campaign_pauses_before_the_next_probe_while_the_disk_has_no_room(
+    tmp_path, monkeypatch
+) -> None:
+    with collecting(tmp_path / "ds") as collected:
+        session, free = collected.session, [10**12]
+        usage = SimpleNamespace(free=0)
+
+        def look(_place):
+            usage.free = free[0]
+            return usage
+
+        monkeypatch.setattr(diskspace.shutil, "disk_usage", look)
+        pressed = []
+
+        def watch(fact):
+            if isinstance(fact, PhaseEntered) and fact.phase == "press" and not pressed:
+                free[0] = 420_000_000
+            elif isinstance(fact, Paused):
+                pressed.append(len(collected.of(PhaseEntered)))
+                if len(pressed) == 2:
+                    free[0] = 10**12
+                session.engine.resume()
+
+        session.hub.subscribe(watch)
+        collected.run(count=2)
+        # Resumed without room it pauses again at once; nothing moved in between.
+        assert len(pressed) == 2
+        assert pressed[0] == pressed[1]
+        assert "0.42 GB" in collected.of(Paused)[0].fault.what
+        assert [entry.plan_item for entry in collected.entries] == [0, 1]
+
+
+def test_a_campaign_cancelled_on_a_full_disk_goes_on_later(tmp_path, monkeypatch) -> None:
+    with collecting(tmp_path / "ds") as collected:
+        record, session = collected.dataset.record, collected.session
+        full = [True]
 
         def recorded(*args, **named):
-            if len(collected.entries) == 1 and not full:
-                full.append(True)
+            if full and len(collected.entries) == 1:
                 raise FaultError(Fault("DISK-FULL", "The disk is full.", "Not recorded.", "Room."))
             return record(*args, **named)
 
         monkeypatch.setattr(collected.dataset, "record", recorded)
+        session.hub.subscribe(
+            lambda fact: session.engine.cancel() if isinstance(fact, Paused) else None
+        )
         collected.run(count=2)
-        assert collected.of(RunFinished)[-1].ending == "failed"
-        assert [fault.code for fault in collected.session.interlock.faults] == ["DISK-FULL"]
-        assert [entry.plan_item for entry in collected.entries] == [0]
-        collected.session.reset()
+        assert collected.of(RunFinished)[-1].ending == "cancelled"
+        assert [fault.code for fault in session.interlock.faults] == ["DISK-FULL"]
+        full.clear()
+        session.reset()
         collected.run(campaign=newest_campaign(tmp_path / "ds"))
         assert [entry.plan_item for entry in collected.entries] == [0, 1]
 

@@ -18,6 +18,7 @@ from backend.runs.collect_report import pair_coverage
 from backend.runs.collected import EpisodeRecorder, Origin
 from backend.runs.collecting import Collector
 from backend.runs.host import RunHost
+from backend.runs.jig import fitted_anew
 from backend.runs.orderly import orderly
 from backend.runs.plan import Plan
 from backend.runs.record import record_of
@@ -80,6 +81,11 @@ def _mountings(
         campaign.save(recorder.dataset.folder)
         if ended.value is None or not collector.todo:
             break
+        if request.hand_over or bench.jig is None:
+            # No simulation does it: two mountings are two only if somebody fitted them.
+            ended = yield from orderly(bench, fitted_anew(bench))
+            if ended.value is None:
+                break
     ending = ended.run_ending or ("finished" if ended.value else "failed")
     reason = ended.reason or _summary(collector)
     yield RunFinished(bench.now_s(), host.run_id, ending, reason)
@@ -96,8 +102,15 @@ def _dataset(host: RunHost, request: CollectRequest) -> Dataset:
         raise RefusedError("NO-DATASET", "No dataset is open to collect into.")
     if not host.dataset.writable:
         raise RefusedError("READ-ONLY", "The dataset is open for reading only.")
-    if request.probes_per_grip is not None and request.probes_per_grip < 1:
-        raise InputError("A grip makes at least one probe.", "probes per grip", "Give 1 or more.")
+    for name, limit in (
+        ("grip", request.probes_per_grip),
+        ("mounting", request.grips_per_mounting),
+    ):
+        if limit is not None and limit < 1:
+            what = "probe" if name == "grip" else "grip"
+            raise InputError(
+                f"A {name} makes at least one {what}.", f"{what}s per {name}", "Give 1 or more."
+            )
     if not request.person.strip():
         raise InputError("Nobody is named.", "--person", "Say who collects.")
     return host.dataset

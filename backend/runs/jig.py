@@ -93,6 +93,16 @@ def approach(bench: Bench, place: Pose) -> Plan[None]:
     yield from _go(bench, place)
 
 
+def fitted_anew(bench: Bench) -> Plan[bool]:
+    """Wait until the operator has fitted bottom and gels anew; ``CancelledError`` on a no."""
+    bench.gate.ask()
+    yield HandOverAwaited(bench.now_s(), bench.bottom, gives=False, anew=True)
+    yield Waiting(lambda: bench.gate.answered, OPERATOR_S, "a new mounting")
+    if not bench.gate.yes:
+        raise CancelledError("bottom and gels were not fitted anew")
+    return True
+
+
 def _hand_at_the_jaws(bench: Bench, *, gives: bool) -> Plan[None]:
     """Wait until the operator's hand is where it should be; raises ``CancelledError`` on a no."""
     bench.gate.ask()

@@ -14,6 +14,8 @@ Strategy = Literal["paper", "pick-and-place"]
 Mode = Literal["auto", "approve", "step"]
 GRIPS = 3
 """So many grips at least does a campaign make by default: fewer do not show what a grip does."""
+MOUNTINGS = 3
+"""On so many mountings at least, each a series: a model is measured on series it never saw."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +88,9 @@ class CollectRequest:
     with a former one, whose plan then holds instead. With ``ask`` the run waits for a decision
     after every probe. ``check_origin``: probe at known displacements after every mounting.
     ``probes_per_grip``: at most so many (None: as the settings say, and so few that the campaign
-    has ``GRIPS`` grips). ``hand_over``: the operator hands the piece to the gripper where it is, as
-    on every bench without a taught jig.
+    has ``GRIPS`` grips). ``grips_per_mounting``: alike (None: so few that it has ``MOUNTINGS``
+    mountings, where it has so many grips). ``hand_over``: the operator hands the piece to the
+    gripper where it is, as on every bench without a taught jig, and fits each mounting anew.
     """
 
     piece: str = "pot"
@@ -103,15 +106,19 @@ class CollectRequest:
     campaign: str = ""
     ask: bool = False
     probes_per_grip: int | None = None
+    grips_per_mounting: int | None = None
     hand_over: bool = False
 
     def method(self, base: StackSettings) -> StackSettings:
         """Return the settings of this run, laid over those of the bench."""
-        limit = self.probes_per_grip
-        if limit is None:
-            limit = min(base.collect.probes_per_grip, max(1, -(-self.count // GRIPS)))
-        collect = base.collect.model_copy(update={"probes_per_grip": limit})
-        return base.model_copy(update={"collect": collect})
+        probes, grips, most = self.probes_per_grip, self.grips_per_mounting, base.collect
+        if probes is None:
+            probes = min(most.probes_per_grip, max(1, -(-self.count // GRIPS)))
+        if grips is None:
+            in_all = -(-self.count // probes)
+            grips = min(most.grips_per_mounting, max(1, in_all // MOUNTINGS))
+        limits = {"probes_per_grip": probes, "grips_per_mounting": grips}
+        return base.model_copy(update={"collect": most.model_copy(update=limits)})
 
     def scene(self, mounting: int = 0) -> SceneChoice:
         """Return the scene of a mounting: the piece in its jig, no model."""

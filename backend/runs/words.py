@@ -58,7 +58,9 @@ def regrip(why: str) -> str:
 
 
 def hand_over(awaited: HandOverAwaited) -> str:
-    """Say what the operator's hand has to do before the jaws move."""
+    """Say what the operator's hands have to do before the campaign goes on."""
+    if awaited.anew:
+        return f"Take the {awaited.piece} and the gels off and fit them anew: a new series begins."
     if awaited.gives:
         return f"Hold the {awaited.piece} between the jaws: they close on it."
     return f"Take hold of the {awaited.piece}: the jaws open."

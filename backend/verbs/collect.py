@@ -63,8 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"at most (default: a third of the campaign, at most {limits.probes_per_grip})",
     )  # fmt: skip
     parser.add_argument(
-        "--grips-per-mounting", type=int, default=limits.grips_per_mounting,
-        help="at most (default: %(default)s)",
+        "--grips-per-mounting", type=int,
+        help=f"at most (default: a third of the grips, at most {limits.grips_per_mounting})",
     )  # fmt: skip
     parser.add_argument(
         "--origin", type=float, nargs=2, default=(0.0, 0.0), metavar=("X", "Y"),
@@ -143,10 +143,7 @@ class _Told:
     def take(self, fact: Fact) -> None:
         """Take one fact."""
         if isinstance(fact, CampaignBegan):
-            self.began = fact
-            bar = self._screen.progress("Collecting", fact.total)
-            self.advance = self._bars.enter_context(bar)
-            self._move(fact.done, fact.total, "")
+            self._begin(fact)
         elif isinstance(fact, ProbeCollected):
             self.collected.append(fact)
             self._move(fact.done, fact.total, "")
@@ -168,6 +165,14 @@ class _Told:
             self.faults.append(fact.fault.code)
         elif isinstance(fact, RunFinished):
             self.ended = fact
+
+    def _begin(self, fact: CampaignBegan) -> None:
+        """Begin the bar with the first mounting; it goes on with the others."""
+        self.began = fact
+        if self.advance is None:
+            bar = self._screen.progress("Collecting", fact.total)
+            self.advance = self._bars.enter_context(bar)
+        self._move(fact.done, fact.total, "")
 
     def _paused(self, fault: Fault) -> None:
         """Wait for the operator; where nobody can answer the campaign ends, to be resumed later."""
@@ -195,8 +200,7 @@ def _session(args: argparse.Namespace, screen: Screen, *, lab: bool) -> Iterator
 
     runs = Path(args.runs) if args.runs else data_folder() / "runs"
     keep = Keep(runs, episodes=False)
-    limits = CollectSettings(grips_per_mounting=args.grips_per_mounting)
-    method = StackSettings(collect=limits)
+    method = StackSettings()
     if lab:
         with lab_bench(
             lab_choice(args), keep, method, screen, home=args.home, override=args.override
@@ -238,6 +242,7 @@ def _request(args: argparse.Namespace, dataset: Dataset, person: str) -> Collect
         check_origin=args.check_origin,
         campaign=campaign,
         probes_per_grip=args.probes_per_grip,
+        grips_per_mounting=args.grips_per_mounting,
         hand_over=args.hand_over,
     )
 

@@ -44,6 +44,7 @@ class Collected:
         self.session.dataset = self.dataset
         # By default a short campaign grips anew for each probe; here one grip is enough.
         self._per_grip = limits.get("probes_per_grip", 50)
+        self._per_mounting = limits.get("grips_per_mounting", 10)
         self.facts, self.truth = [], {}
         self.session.hub.subscribe(self._take)
 
@@ -52,7 +53,8 @@ class Collected:
 
     def run(self, **changes):
         asked = {"piece": "pot", "bottom": "circle15", "count": 5, "seed": 2, "person": "ann",
-                 "probes_per_grip": self._per_grip}  # fmt: skip
+                 "probes_per_grip": self._per_grip,
+                 "grips_per_mounting": self._per_mounting}  # fmt: skip
         self.session.run(CollectRequest(**{**asked, **changes}))
         return self
 

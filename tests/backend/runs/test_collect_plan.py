@@ -19,7 +19,7 @@ from backend.objects.surface import overlap_area_mm2
 from backend.runs.campaign import Campaign, new_campaign, newest_campaign, read_campaign
 from backend.runs.collect_plan import PATTERNS, Target, grid_mm, planned_mm
 from backend.runs.collect_report import pair_coverage
-from backend.runs.requests import GRIPS, CollectRequest
+from backend.runs.requests import GRIPS, MOUNTINGS, CollectRequest
 from tests.backend.catalogue.conftest import context_for, small_episode
 
 TARGET = Target(circle(15.0), rectangle(12.0, 28.0))
@@ -135,12 +135,18 @@ def test_holes_are_those_of_all_campaigns_that_somebody_stands_for(dataset: Data
 
 
 @pytest.mark.parametrize(
-    ("count", "asked", "most"), [(20, None, 7), (2, None, 1), (200, None, 50), (20, 9, 9)]
+    ("count", "asked", "most", "grips"),
+    [(20, None, 7, 1), (2, None, 1, 1), (200, None, 50, 1), (2000, None, 50, 10), (20, 9, 9, 1)],
 )
-def test_a_campaign_makes_three_grips_or_more_unless_told_otherwise(
-    count: int, asked: int | None, most: int
+def test_a_campaign_makes_three_grips_and_mountings_or_more_unless_told_otherwise(
+    count: int, asked: int | None, most: int, grips: int
 ) -> None:
     method = CollectRequest(count=count, probes_per_grip=asked).method(StackSettings())
     assert method.collect.probes_per_grip == most
+    assert method.collect.grips_per_mounting == grips
     if asked is None and count >= GRIPS:
-        assert -(-count // most) >= GRIPS
+        in_all = -(-count // most)
+        assert in_all >= GRIPS
+        assert -(-in_all // grips) >= MOUNTINGS
+    told = CollectRequest(count=count, grips_per_mounting=7).method(StackSettings())
+    assert told.collect.grips_per_mounting == 7

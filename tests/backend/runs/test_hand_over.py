@@ -15,18 +15,19 @@ from tests.backend.brisk import brisk_bench, brisk_method
 
 
 def collected(dataset: Dataset, answer: Callable[[HandOverAwaited], bool], **asked):
-    """Collect by hand-over; returns the session, the facts, and how wide the jaws were asked."""
+    """Collect by hand-over; returns the session, the facts, and what was asked when."""
     session: Session = simulated_session(
         brisk_bench("quiet"), keep=Keep(None), method=brisk_method()
     )
     session.dataset = dataset
     facts: list[Fact] = []
     session.hub.subscribe(facts.append)
-    asked_of: list[tuple[bool, bool]] = []
+    asked_of: list[tuple[str, bool]] = []
 
     def hold(fact: Fact) -> None:
         if isinstance(fact, HandOverAwaited):
-            asked_of.append((fact.gives, session.hand.holding))
+            what = "fit anew" if fact.anew else "give" if fact.gives else "take"
+            asked_of.append((what, session.hand.holding))
             session.answer(answer(fact))
 
     session.hub.subscribe(hold)
@@ -37,18 +38,22 @@ def collected(dataset: Dataset, answer: Callable[[HandOverAwaited], bool], **ask
 
 @pytest.mark.slow
 def test_each_grip_is_handed_over_and_taken_back(tmp_path) -> None:
-    answers = iter([True, True, True, False])
+    answers = iter([True, True, True, True, False])
     with Dataset.open(tmp_path / "ds", person="ann") as dataset:
         session, facts, asked_of = collected(
             dataset, lambda _: next(answers), count=2, probes_per_grip=1
         )
         # Asked with open jaws before they close, and with the piece held before they open.
-        assert asked_of == [(True, False), (False, True)] * 2
+        # Between two mountings somebody has to fit bottom and gels: the program says so.
+        assert asked_of == [
+            ("give", False), ("take", True), ("fit anew", False), ("give", False), ("take", True)
+        ]  # fmt: skip
         # Nobody took it the last time: the jaws stay closed, and nothing is lost.
         assert facts[-1].ending == "cancelled"
         assert session.hand.holding
         entries = dataset.episodes()
         assert len({entry.grip_id for entry in entries}) == 2
+        assert len({entry.series for entry in entries}) == 2
         # 0.05 mm arm, 0.1 mm origin, and 0.5 mm of the hand instead of 0.1 mm of a jig.
         assert {dataset.labels.head(e.uuid).label.sigma_um for e in entries} == {512}
 

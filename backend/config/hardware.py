@@ -168,7 +168,11 @@ class WsgSettings(Settings):
     temperature: Literal["i16, 0.1 degC"] = "i16, 0.1 degC"
     grasp_force_parameter: Literal[False] = False
     keeps_grip_after_07: bool = True
+    """Whether a piece stays held when a connection ends as announced; without, none is announced
+    while a piece is held, and the gripper's fast stop keeps it."""
     gcl_autosend_third: Literal["true", "false"] = "true"
+    gcl_release: Literal["width", "finger"] = "width"
+    """What the distance of RELEASE in the text protocol is: the opening, or each finger's way."""
     update_ms: Annotated[int, Field(ge=1, le=1000)] = 50
     margin_s: Positive = 1.0
 

@@ -26,6 +26,7 @@ from backend.emulators.melfa import TIMEOUT_CYCLES, EmulatedMelfa, MelfaFront
 from backend.emulators.netft import EmulatedCalibration, EmulatedNetFt, EmulatedPage
 from backend.emulators.optoforce import CAPACITY, COUNTS, EmulatedOptoforce
 from backend.emulators.wsg import EmulatedWsg
+from backend.emulators.wsg_gcl import EmulatedGcl
 
 Wrench = Callable[[float], Sequence[float]]
 SERIAL: dict[str, Callable[[Wrench], Emulated]] = {
@@ -50,7 +51,8 @@ class Choice:
     """What to emulate and where; ``port`` 0 takes a free one.
 
     ``tty``: a name for the pseudo terminal of a serial sensor. ``wrench``: what a sensor feels, N
-    and N·m by time. ``part_mm``: the piece between the jaws of a gripper, None for none. A camera
+    and N·m by time. ``part_mm``: the piece between the jaws of a gripper, None for none;
+    ``text``: it speaks its text protocol. A camera
     has a ``finger``, a ``serial`` number, a ``folder`` to be found in, and may play a ``film``.
     """
 
@@ -61,6 +63,7 @@ class Choice:
     faults: FaultPlan = field(default_factory=FaultPlan)
     wrench: Wrench = field(default_factory=lambda: noisy(hanging))
     part_mm: float | None = 20.0
+    text: bool = False
     finger: Finger = "left"
     serial: str = SERIAL_NUMBER
     folder: Path | None = None
@@ -150,8 +153,10 @@ def _net_ft(choice: Choice, faults: Faults) -> Emulation:
 
 def _wsg(choice: Choice, faults: Faults) -> Emulation:
     gripper = EmulatedWsg(part_mm=choice.part_mm, faults=faults)
-    front = TcpFront(gripper, choice.host, choice.port or 0, faults=faults)
-    return Emulation((front,), {"wsg": {"host": choice.host, "port": front.address[1]}})
+    mouth: Emulated = EmulatedGcl(gripper) if choice.text else gripper
+    front = TcpFront(mouth, choice.host, choice.port or 0, faults=faults)
+    table: dict[str, object] = {"host": choice.host, "port": front.address[1]}
+    return Emulation((front,), {"wsg": table | ({"protocol": "gcl"} if choice.text else {})})
 
 
 def _melfa(choice: Choice, faults: Faults) -> Emulation:

@@ -35,7 +35,8 @@ class Update:
 class EmulatedWsg:
     """``jaws.part_mm`` may be set at any time: a part comes, or is lost.
 
-    ``faults``: those that the gripper itself can suffer from.
+    ``faults``: those that the gripper itself can suffer from. ``keeps_grip``: whether the piece
+    stays held when a connection ends as announced.
     """
 
     def __init__(
@@ -43,7 +44,10 @@ class EmulatedWsg:
         profile: Profile | None = None,
         part_mm: float | None = None,
         faults: Faults | None = None,
+        *,
+        keeps_grip: bool = True,
     ) -> None:
+        self._keeps_grip = keeps_grip
         self._faults = faults or Faults("gripper")
         self.jaws = Jaws(profile or Profile(), part_mm)
         self._requests = wsg_binary.requests()
@@ -79,6 +83,8 @@ class EmulatedWsg:
         self._requests.reset()
         if not self._leaving:
             self._fast_stop()
+        elif not self._keeps_grip:
+            self.jaws.let_go()
         self._leaving = False
 
     def _suffer(self, now_s: float) -> list[Reply]:
@@ -136,7 +142,7 @@ class EmulatedWsg:
     def _halt(self, command: int) -> list[Reply]:
         self._leaving = command == Command.DISCONNECT
         if self._leaving and self.jaws.motion is None:
-            return [Reply(command, Status.SUCCESS)]  # wsg.keeps_grip_after_07
+            return [Reply(command, Status.SUCCESS)]
         ended = self._fast_stop() if command == Command.FAST_STOP else self.jaws.halt()
         aborted = [Reply(ended.command, Status.CMD_ABORTED)] if ended else []
         return [*aborted, Reply(command, Status.SUCCESS)]

@@ -76,6 +76,10 @@ class Jaws:
         self.state = GraspState.IDLE
         return motion
 
+    def let_go(self) -> None:
+        """Hold nothing any more, without a motion: the fingers have no force."""
+        self.state = GraspState.IDLE
+
     def advance(self, now_s: float) -> tuple[Command, Status] | None:
         """Move on to ``now_s``; return command and result of a motion that ended."""
         if self.state is GraspState.HOLDING and self.part_mm is None:

@@ -55,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--part", type=float, default=20.0, metavar="MM", help="piece between the jaws; 0: none"
     )
+    parser.add_argument("--text", action="store_true", help="a gripper with its text protocol")
     parser.add_argument(
         "--folder", type=Path, metavar="DIR", help="where an emulated camera is found"
     )
@@ -131,7 +132,7 @@ def _device(args: argparse.Namespace) -> Emulation:
     part_mm = args.part if args.part > 0 else None
     wire = Choice(args.kind, args.host, args.port, args.tty, _plan(args), wrench, part_mm)
     camera = {"finger": args.finger, "serial": args.serial, "folder": args.folder}
-    return emulate(replace(wire, **camera, film=args.film))
+    return emulate(replace(wire, **camera, text=args.text, film=args.film))
 
 
 def _bench(args: argparse.Namespace) -> tuple[JoinedScene, Emulation]:

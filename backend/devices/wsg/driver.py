@@ -14,9 +14,9 @@ from backend.devices.protocols import DeviceState, GripStatus, Health, Identity
 from backend.devices.steps import Steps
 from backend.devices.wsg.core import Limits, WsgCore
 from backend.devices.wsg.faults import NAME, device_fault, link_fault, not_connected_fault
+from backend.devices.wsg.language import BinaryLanguage, GripperLanguage
 from backend.devices.wsg.motion import WsgMotion
 from backend.wire import wsg_binary
-from backend.wire.framing import FrameStream
 from backend.wire.wsg_binary import Reply, Request
 from backend.wire.wsg_words import Command, Status, SystemFlag
 
@@ -25,23 +25,30 @@ ANSWER_S = 1.0
 CHUNK = 4096
 RATE_WINDOW_S = 1.0
 STALE_S = 1.0
-DECIMALS = 100
-TYPES = {0: "WSG", 1: "WSG 50"}
 
 
 class WsgGripper:
-    """``host`` and ``port`` of the gripper; replies are stamped by ``now_s``."""
+    """``host`` and ``port`` of the gripper; replies are stamped by ``now_s``.
+
+    ``language`` makes the protocol of one connection.
+    """
 
     name = NAME
 
     def __init__(
-        self, host: str, port: int, settings: WsgSettings, now_s: Callable[[], float]
+        self,
+        host: str,
+        port: int,
+        settings: WsgSettings,
+        now_s: Callable[[], float],
+        language: Callable[[], GripperLanguage] = BinaryLanguage,
     ) -> None:
         self._address, self._settings, self._now_s = (host, port), settings, now_s
         self._core = WsgCore(settings)
         self._lock, self._sending = threading.RLock(), threading.Lock()
         self._socket: socket.socket | None = None
-        self._decoder: FrameStream[Reply] = wsg_binary.replies()
+        self._new_language = language
+        self._language = language()
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
         self.steps = Steps()
@@ -83,7 +90,7 @@ class WsgGripper:
         now_s, arrivals = self._now_s(), list(self._arrivals)
         newest_s = arrivals[-1] if arrivals else float("-inf")
         rate_hz = sum(t > now_s - RATE_WINDOW_S for t in arrivals) / RATE_WINDOW_S
-        return Health(rate_hz, now_s - newest_s, self._received, self._decoder.bad_frames)
+        return Health(rate_hz, now_s - newest_s, self._received, self._language.bad_frames)
 
     def describe(self) -> Mapping[str, str | float]:
         """Return type, state of the grip, readings and losses."""
@@ -109,7 +116,7 @@ class WsgGripper:
             return
         self.close()
         self._state = DeviceState.CONNECTING
-        self._core, self._decoder = WsgCore(self._settings), wsg_binary.replies()
+        self._core, self._language = WsgCore(self._settings), self._new_language()
         self.steps.begin()
         try:
             self._socket = socket.create_connection(self._address, timeout=timeout_s)
@@ -204,19 +211,15 @@ class WsgGripper:
             stroke, low, high, _, _, weakest, nominal, _ = map(float, limits.values)
             core.limits = Limits(stroke, (low, high), _number(acceleration), (weakest, nominal))
         told = self._exchange(Request(Command.SYSTEM_INFO), cancel)
-        kind, hardware, firmware, serial = (
-            (int(value) for value in told.values) if told.values else (0, 0, 0, 0)
-        )
-        model = f"{TYPES.get(kind, 'WSG')}, hardware {hardware}"
-        number = str(serial) if serial else f"{self._address[0]}:{self._address[1]}"
-        self._identity = Identity("Weiss Robotics", model, number, f"{firmware / DECIMALS:.2f}")
+        address = f"{self._address[0]}:{self._address[1]}"
+        self._identity = self._language.identity(told, address)
         self.steps.reached("identify")
 
     def _exchange(self, request: Request, cancel: threading.Event) -> Reply:
         """Send one request and wait for its answer; only before the listening thread runs."""
         if self._socket is None:
             raise FaultError(not_connected_fault())
-        self._socket.sendall(wsg_binary.encode_request(request))
+        self._socket.sendall(self._language.encode([request]))
         self._socket.settimeout(READ_S)
         end_s = time.monotonic() + ANSWER_S
         while time.monotonic() < end_s:
@@ -257,7 +260,7 @@ class WsgGripper:
                     self._send(requests)
                 with self._lock:
                     requests = self._core.tick(self._now_s())
-                self._send(requests)
+                self._send(requests, self._language.due(self._now_s()))
                 if self._core.fault is not None and self._core.fault.code == "WSG-LINK":
                     raise ConnectionError(self._core.fault.what)
         except OSError as error:
@@ -267,19 +270,18 @@ class WsgGripper:
         try:
             data = line.recv(CHUNK)
         except TimeoutError:
-            return []
+            return self._language.take(b"")
         if not data:
             raise ConnectionResetError("the gripper has closed the connection")
-        return self._decoder.feed(data)
+        return self._language.take(data)
 
-    def _send(self, requests: Iterable[Request]) -> None:
+    def _send(self, requests: Iterable[Request], more: bytes = b"") -> None:
         line = self._socket
-        content = b"".join(map(wsg_binary.encode_request, requests))
-        if not content or line is None:
-            return
         try:
             with self._sending:
-                line.sendall(content)
+                content = self._language.encode(requests) + more
+                if content and line is not None:
+                    line.sendall(content)
         except OSError as error:
             self._lose(error)
 
@@ -292,7 +294,14 @@ class WsgGripper:
             self._state = DeviceState.FAULT
 
     def _farewell(self) -> None:
-        """Announce the end, so that it latches no fast stop."""
+        """Announce the end, so that it latches no fast stop; a grip that this would end is not.
+
+        Where the gripper lets go after an announced end, the fast stop keeps the piece until the
+        operator acknowledges it.
+        """
+        if self._core.status.holding and not self._settings.keeps_grip_after_07:
+            self._lost_holding = True
+            return
         try:
             self._exchange(Request(Command.DISCONNECT), threading.Event())
         except (OSError, FaultError):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from backend.config.hardware import HardwareSettings
-from backend.core.faults import InputError
 from backend.devices.offered import find_offered
 from backend.devices.protocols import Gripper
 from backend.devices.wsg.driver import WsgGripper
+from backend.devices.wsg.gcl import GclLanguage
+from backend.devices.wsg.language import BinaryLanguage, GripperLanguage
 
 GROUP = "touchdown.gripper"
 """Entry points: name -> callable(settings, now_s) that returns a ``Gripper``."""
@@ -24,10 +26,7 @@ def make_gripper(settings: HardwareSettings, now_s: Callable[[], float]) -> Grip
 
 def _wsg(settings: HardwareSettings, now_s: Callable[[], float]) -> WsgGripper:
     wsg = settings.wsg
-    if wsg.protocol != "binary":
-        raise InputError(
-            "The text protocol of the gripper is not driven.",
-            "wsg.protocol",
-            "Switch the text interface off in the gripper's web page, and set 'binary'.",
-        )
-    return WsgGripper(wsg.host, wsg.port, wsg, now_s)
+    language: Callable[[], GripperLanguage] = BinaryLanguage
+    if wsg.protocol == "gcl":
+        language = partial(GclLanguage, wsg)
+    return WsgGripper(wsg.host, wsg.port, wsg, now_s, language)

@@ -1,24 +1,31 @@
-"""One contract for every gripper: the simulated one, and the WSG over a real socket."""
+"""One contract for every gripper: the simulated one, and the WSG over a real socket.
+
+The WSG in both of its protocols: binary and text.
+"""
 
 import threading
 import time
+from functools import partial
 
 import pytest
 
-from backend.config.hardware import WsgSettings
+from backend.config.hardware import HardwareSettings, WsgSettings
 from backend.config.simulation import SimulationSettings
 from backend.core.faults import FaultError
 from backend.devices.protocols import DeviceState
 from backend.devices.sim.bench import SimulatedBench
 from backend.devices.wsg.driver import WsgGripper
+from backend.devices.wsg.making import make_gripper
 from backend.emulators.faults import Faults
 from backend.emulators.front import TcpFront
 from backend.emulators.leptrino import EmulatedLeptrino
 from backend.emulators.wsg import EmulatedWsg
+from backend.emulators.wsg_gcl import EmulatedGcl
 from backend.emulators.wsg_jaws import Profile
 from backend.objects.catalogue import load_catalogue
 from backend.objects.tower import Tower
 from backend.simulation.scene import Scene
+from backend.wire.wsg_words import SystemFlag
 from tests.backend.devices.waiting import until
 
 PART_MM = 30.0
@@ -48,11 +55,18 @@ class Simulated:
 class OverTheWire:
     """A homed WSG driver and its emulated gripper with a piece between the jaws."""
 
-    def __init__(self):
+    def __init__(self, **settings):
         faults = Faults("gripper")
-        self.emulated = EmulatedWsg(Profile(stroke_mm=40.0), PART_MM, faults)
-        self.front = TcpFront(self.emulated, faults=faults)
-        self.gripper = WsgGripper(*self.front.address, WsgSettings(), time.monotonic)
+        wsg = WsgSettings(**settings)
+        self.emulated = EmulatedWsg(
+            Profile(stroke_mm=40.0), PART_MM, faults, keeps_grip=wsg.keeps_grip_after_07
+        )
+        text = wsg.protocol == "gcl"
+        mouth = EmulatedGcl(self.emulated, wsg) if text else self.emulated
+        self.front = TcpFront(mouth, faults=faults)
+        host, port = self.front.address
+        wsg = wsg.model_copy(update={"host": host, "port": port})
+        self.gripper = make_gripper(HardwareSettings(wsg=wsg), time.monotonic)
         self.front.start()
 
     def connect(self):
@@ -72,16 +86,19 @@ class OverTheWire:
         self.front.close()
 
 
-@pytest.fixture(params=[Simulated, OverTheWire], ids=["simulated", "wsg"])
+BINARY, TEXT = OverTheWire, partial(OverTheWire, protocol="gcl", stroke_mm=40.0)
+
+
+@pytest.fixture(params=[Simulated, BINARY, TEXT], ids=["simulated", "wsg", "wsg text"])
 def bench(request):
     made = request.param()
     yield made
     made.close()
 
 
-@pytest.fixture
-def wired():
-    made = OverTheWire()
+@pytest.fixture(params=[BINARY, TEXT], ids=["wsg", "wsg text"])
+def wired(request):
+    made = request.param()
     yield made
     made.close()
 
@@ -228,3 +245,19 @@ def test_nobody_there_is_a_fault():
     gripper = WsgGripper("127.0.0.1", 1, WsgSettings(), time.monotonic)
     with pytest.raises(FaultError, match="cannot be reached"):
         gripper.connect(1.0, threading.Event())
+
+
+@pytest.mark.parametrize("protocol", ["binary", "gcl"])
+def test_a_gripper_that_lets_go_after_a_goodbye_is_left_without_one(protocol):
+    wired = OverTheWire(protocol=protocol, stroke_mm=40.0, keeps_grip_after_07=False)
+    wired.connect()
+    finish(wired, wired.gripper.grip(10.0))
+    wired.gripper.close()
+    until(lambda: SystemFlag.FAST_STOP in wired.emulated.jaws.flags)
+    wired.gripper.connect(2.0, threading.Event())
+    assert wired.gripper.fault.code == "WSG-FAST-STOP"
+    wired.gripper.acknowledge()
+    until(lambda: wired.gripper.state is DeviceState.READY)
+    wired.gripper.close()
+    assert SystemFlag.FAST_STOP not in wired.emulated.jaws.flags
+    wired.close()

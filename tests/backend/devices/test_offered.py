@@ -58,8 +58,3 @@ def test_what_cannot_be_made_is_one_error(monkeypatch, tables, said):
     offer(monkeypatch, "mine", broken)
     with pytest.raises(InputError, match=said):
         make_force_torque(settings(**tables), time.monotonic)
-
-
-def test_the_text_protocol_is_refused():
-    with pytest.raises(InputError, match="text protocol"):
-        make_gripper(settings(wsg={"protocol": "gcl"}), time.monotonic)

@@ -2,65 +2,10 @@
 
 import pytest
 
-from backend.config.hardware import WsgSettings
 from backend.core.faults import FaultError
-from backend.devices.wsg.core import WsgCore
-from backend.emulators.faults import Faults
-from backend.emulators.wsg import EmulatedWsg
-from backend.wire import wsg_binary
 from backend.wire.wsg_binary import Request
 from backend.wire.wsg_words import Command
-
-PART_MM = 40.0
-
-
-class Bench:
-    """Core and gripper on one clock; every message arrives at once and is kept in ``sent``."""
-
-    def __init__(self, part_mm=PART_MM, homed=True, **settings):
-        self.now_s = 0.0
-        self.faults = Faults("gripper")
-        self.faults.begin(0.0)
-        self.gripper = EmulatedWsg(part_mm=part_mm, faults=self.faults)
-        self.core, self.replies = WsgCore(WsgSettings(**settings)), wsg_binary.replies()
-        self.sent, self.deaf = [], False
-        self.send(self.core.subscribe(0.0))
-        if homed:
-            self.end(self.order(self.core.home))
-
-    def send(self, requests):
-        for request in requests:
-            self.sent.append(request)
-            content = wsg_binary.encode_request(request)
-            self.hear(b"" if self.deaf else self.gripper.receive(self.now_s, content))
-
-    def hear(self, data):
-        for reply in self.replies.feed(data):
-            self.send(self.core.feed(self.now_s, reply))
-
-    def advance(self, seconds):
-        for _ in range(round(seconds / 0.01)):
-            self.now_s += 0.01
-            if not self.deaf:
-                self.hear(self.gripper.due(self.now_s))
-            self.send(self.core.tick(self.now_s))
-
-    def order(self, begin, *args):
-        requests = begin(self.now_s, *args)
-        motion = self.core.motion
-        self.send(requests)
-        return motion
-
-    def end(self, motion, limit_s=30.0):
-        until_s = self.now_s + limit_s
-        while not motion.done:
-            assert self.now_s < until_s
-            self.advance(0.01)
-        return motion
-
-    def held(self):
-        self.end(self.order(self.core.grip, 10.0)).result()
-        return self.core.status
+from tests.backend.devices.stepped_wsg import PART_MM, Bench
 
 
 def code_of(motion):

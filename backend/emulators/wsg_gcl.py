@@ -1,0 +1,184 @@
+"""An emulated WSG whose text interface is on: the same gripper behind lines of GCL.
+
+``ACK`` and ``FIN`` go out at least 100 ms apart: some clients compare a whole receive with one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from backend.config.hardware import WsgSettings
+from backend.emulators.wsg import SERIAL, EmulatedWsg
+from backend.wire import wsg_binary, wsg_gcl
+from backend.wire.wsg_binary import Number, Reply, Request
+from backend.wire.wsg_gcl import Answer, Assignment, Call, Failure, Line, Query, Scalar
+from backend.wire.wsg_words import Command, Status
+
+APART_S = 0.1
+READINGS = {
+    "POS": Command.WIDTH,
+    "SPEED": Command.SPEED,
+    "FORCE": Command.FORCE,
+    "TEMP": Command.TEMPERATURE,
+    "GRIPSTATE": Command.GRASP_STATE,
+}
+SELVES: dict[str, Scalar] = {"DEVTYPE": '"WSG 32-068"', "VERSION": "4.0.1", "SN": SERIAL}
+KEPT = ("VERBOSE", "PWT", "CLT", "TAG")
+"""What may be set; it is echoed."""
+ORDERS = {
+    "STOP": Request(Command.STOP),
+    "FASTSTOP": Request(Command.FAST_STOP),
+    "FSACK": wsg_binary.acknowledge(),
+    "BYE": Request(Command.DISCONNECT),
+}
+MOTIONS = ("HOME", "MOVE", "GRIP", "RELEASE")
+_SPEED_MM_S = 50.0
+_RELEASE_MM = 10.0
+
+
+@dataclass(slots=True)
+class AutoSend:
+    """A reading sent again and again; ``on_change`` only when it differs."""
+
+    period_s: float
+    on_change: bool
+    next_s: float
+    last: Line | None = None
+
+
+class EmulatedGcl:
+    """``gripper`` does the work; this is its mouth."""
+
+    def __init__(self, gripper: EmulatedWsg, settings: WsgSettings | None = None) -> None:
+        self.gripper, self._settings = gripper, settings or WsgSettings()
+        self._lines, self._replies = wsg_gcl.lines(), wsg_binary.replies()
+        self._called: dict[int, str] = {}
+        self._acknowledged_s = -APART_S
+        self._waiting: list[tuple[float, Line]] = []
+        self._auto: dict[str, AutoSend] = {}
+        self._verbose = False
+
+    def receive(self, now_s: float, data: bytes) -> bytes:
+        """Take lines; return what is answered at once."""
+        out: list[Line] = []
+        for asked in self._lines.feed(data):
+            answer = self._answer(now_s, asked)
+            out += [*self._ends(now_s), *answer]
+        return b"".join(map(wsg_gcl.encode, out))
+
+    def due(self, now_s: float) -> bytes:
+        """Return the ends of motions, and the readings that are sent of themselves."""
+        self._hear(now_s, self.gripper.due(now_s))
+        out = self._ends(now_s)
+        for name, auto in self._auto.items():
+            if now_s >= auto.next_s:
+                auto.next_s = max(auto.next_s + auto.period_s, now_s)
+                line = self._reading(now_s, name)
+                if not (auto.on_change and line == auto.last):
+                    auto.last = line
+                    out.append(line)
+        return b"".join(map(wsg_gcl.encode, out))
+
+    def closed(self, now_s: float) -> None:
+        """Forget the client; without ``BYE`` the fast stop is latched."""
+        self._lines.reset()
+        self._auto.clear()
+        self._waiting.clear()
+        self.gripper.closed(now_s)
+
+    def _ends(self, now_s: float) -> list[Line]:
+        """Return the ends of motions that may go out by now."""
+        out = [line for at_s, line in self._waiting if at_s <= now_s]
+        self._waiting = [item for item in self._waiting if item[0] > now_s]
+        return out
+
+    def _answer(self, now_s: float, asked: Line) -> list[Line]:
+        match asked:
+            case Query(name):
+                return self._query(now_s, name)
+            case Assignment(name, value) if name in KEPT:
+                self._verbose = bool(value) if name == "VERBOSE" else self._verbose
+                return [asked]
+            case Call("AUTOSEND", (str(name), int(period_ms), bool(third))) if name in READINGS:
+                self._auto[name] = AutoSend(period_ms / 1000, third, now_s)
+                return [Answer("ACK", "AUTOSEND")]
+            case Call(name) if name in ORDERS:
+                status = self._ask(now_s, ORDERS[name]).status
+                return [self._ended(name, status, "ACK")]
+            case Call(name, arguments) if name in MOTIONS:
+                return self._move(now_s, name, arguments)
+            case Call(name):
+                return [self._ended(name, Status.CMD_UNKNOWN, "ACK")]
+        return []
+
+    def _query(self, now_s: float, name: str) -> list[Line]:
+        if name in SELVES:
+            return [Assignment(name, SELVES[name])]
+        if name.startswith("SYSFLAGS["):
+            told = self._ask(now_s, Request(Command.SYSTEM_STATE, (0, 0)))
+            bit = int(name[9:-1])
+            return [self._value(name, told, lambda value: int(value) >> bit & 1)]
+        if name in READINGS:
+            return [self._reading(now_s, name)]
+        return [self._ended(name.partition("[")[0], Status.CMD_UNKNOWN, "ACK")]
+
+    def _reading(self, now_s: float, name: str) -> Line:
+        command = READINGS[name]
+        values = () if command is Command.TEMPERATURE else (0, 0)
+        told = self._ask(now_s, Request(command, values))
+        return self._value(name, told, int if name == "GRIPSTATE" else float)
+
+    def _value(self, name: str, told: Reply, read: Callable[[Number], float]) -> Line:
+        if not told.values:
+            return self._ended(name.partition("[")[0], told.status, "ACK")
+        return Assignment(name, read(told.values[0]))
+
+    def _move(self, now_s: float, name: str, arguments: tuple[Scalar, ...]) -> list[Line]:
+        numbers = [float(value) for value in arguments if not isinstance(value, str)]
+        if len(numbers) != len(arguments) or (name == "MOVE" and not numbers):
+            return [self._ended(name, Status.CMD_FORMAT_ERROR, "ACK")]
+        request = self._request(now_s, name, numbers)
+        self._called[request.command] = name
+        status = self._ask(now_s, request).status
+        if status == Status.CMD_PENDING:
+            self._acknowledged_s = now_s
+            return [Answer("ACK", name)]
+        return [self._ended(name, status, "ACK")]
+
+    def _request(self, now_s: float, name: str, numbers: list[float]) -> Request:
+        if name == "HOME":
+            return wsg_binary.home(int(numbers[0]) if numbers else 0)
+        if name == "MOVE":
+            return wsg_binary.preposition(numbers[0], [*numbers, _SPEED_MM_S][1])
+        if name == "GRIP":
+            if numbers:
+                self._ask(now_s, wsg_binary.set_force_limit(numbers[0]))
+            width_mm, speed_mm_s = [*numbers[1:], *(0.0, _SPEED_MM_S)[len(numbers[1:]) :]]
+            return wsg_binary.grasp(width_mm, speed_mm_s)
+        distance_mm, speed_mm_s = [*numbers, *(_RELEASE_MM, _SPEED_MM_S)[len(numbers) :]]
+        share = 1.0 if self._settings.gcl_release == "width" else 2.0
+        return wsg_binary.release(self.gripper.jaws.width_mm + share * distance_mm, speed_mm_s)
+
+    def _ask(self, now_s: float, request: Request) -> Reply:
+        """Return the gripper's own answer; ends of motions that come with it go out in time."""
+        content = self.gripper.receive(now_s, wsg_binary.encode_request(request))
+        return self._hear(now_s, content, request.command) or Reply(request.command, 14)
+
+    def _hear(self, now_s: float, content: bytes, command: int = -1) -> Reply | None:
+        """Keep the ends of motions for later; return the newest reply to ``command``."""
+        found: Reply | None = None
+        for reply in self._replies.feed(content):
+            if reply.command == command:
+                found = reply
+            elif name := self._called.get(reply.command):
+                good = reply.status == Status.SUCCESS
+                at_s = max(now_s, self._acknowledged_s + APART_S) if good else now_s
+                self._waiting.append((at_s, self._ended(name, reply.status, "FIN")))
+        return found
+
+    def _ended(self, name: str, status: int, good: str) -> Line:
+        if status == Status.SUCCESS:
+            return Answer(good, name)
+        text = Status(status).name.lower().replace("_", " ") if self._verbose else ""
+        return Failure(name, int(status), text)

@@ -28,6 +28,7 @@ CONTROL_NAMES: dict[str, tuple[str, ...]] = {
     "exposure_auto": ("auto_exposure", "exposure_auto"),
     "exposure": ("exposure_time_absolute", "exposure_absolute"),
     "exposure_priority": ("exposure_dynamic_framerate", "exposure_auto_priority"),
+    "white_balance": ("white_balance_temperature",),
 }
 """Names of camera controls in older and newer kernels."""
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from backend.config.hardware import GelsightSettings
 from backend.core.flow import ImageArray
+from backend.devices.cameras.controls import lock_controls
 from backend.wire.mjpeg import JpegStream
 
 CHUNK = 1 << 16
@@ -72,7 +73,9 @@ class UvcSource:
             self._capture.set(number, value)
         self._raw = settings.keep_jpeg and bool(self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0.0))
         told = {name: float(self._capture.get(number)) for name, (number, _) in wanted.items()}
-        self.facts: Mapping[str, float] = {**told, "fps": self._capture.get(cv2.CAP_PROP_FPS)}
+        locked = lock_controls(path, settings)  # OpenCV knows no names, and not all of them
+        fps = float(self._capture.get(cv2.CAP_PROP_FPS))
+        self.facts: Mapping[str, float] = {**told, **locked, "fps": fps}
 
     def read(self, limit_s: float) -> bytes | ImageArray | None:
         """Return the next picture; blocks as long as the driver of the system does."""

@@ -18,7 +18,6 @@ from backend.learning.training import Trainer
 
 FORMAT = "touchdown-resume/1"
 FIX = "Start again without --resume."
-_MOMENTS = ("exp_avg", "exp_avg_sq", "step")
 
 
 def resume_path(model_path: Path) -> Path:
@@ -31,8 +30,8 @@ def save_state(path: Path, trainer: Trainer, data: str) -> None:
     tensors: dict[str, Tensor] = {}
     tensors |= {f"model.{k}": v.contiguous() for k, v in trainer.model.state_dict().items()}
     tensors |= {f"best.{k}": v.contiguous() for k, v in trainer.best_state.items()}
-    for number, moments in trainer.optimiser.state_dict()["state"].items():
-        tensors |= {f"adam.{number}.{k}": moments[k].contiguous() for k in _MOMENTS}
+    for number, moments in enumerate(trainer.optimiser.moments):
+        tensors |= {f"adam.{number}.{k}": v.contiguous() for k, v in moments.items()}
     facts = {
         "data": data,
         "settings": trainer.settings.model_dump(),
@@ -75,11 +74,8 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
 def _restore(trainer: Trainer, tensors: dict[str, Tensor]) -> None:
     trainer.model.load_state_dict(_under("model.", tensors))
     trainer.best_state = _under("best.", tensors)
-    state = trainer.optimiser.state_dict()
-    count = len(state["param_groups"][0]["params"])
-    moments = {n: _under(f"adam.{n}.", tensors) for n in range(count)}
-    state["state"] = {n: values for n, values in moments.items() if values}
-    trainer.optimiser.load_state_dict(state)
+    count = len(trainer.optimiser.moments)
+    trainer.optimiser.take_up(_under(f"adam.{n}.", tensors) for n in range(count))
 
 
 def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -17,6 +17,7 @@ from backend.config.method import TrainingSettings
 from backend.core.faults import InputError
 from backend.dataset.rows import TrainingRows
 from backend.dataset.splits import Split, split_rows
+from backend.learning.adam import Adam
 from backend.learning.features import columns, fit_in_parts
 from backend.learning.metrics import LEVEL, ReliabilityBin, iou, point_accuracy, reliability
 from backend.learning.model import PatchNet, new_model
@@ -82,10 +83,7 @@ class Trainer:
         self.model: PatchNet = new_model(shape, settings.seed)
         parts = (rows.inputs(index) for index in in_parts(train))
         self.model.set_normaliser(fit_in_parts(parts, settings.modality))
-        # Fused: one pass over the weights, a quarter of the time of a step on a CPU.
-        self.optimiser = torch.optim.Adam(
-            self.model.parameters(), lr=settings.learning_rate, fused=True
-        )
+        self.optimiser = Adam(self.model.parameters(), settings.learning_rate)
         self.base_rate = float(rows.patch[train].mean())
         self.done = 0
         self.best_epoch, self.best_loss = 0, float("inf")
@@ -144,8 +142,7 @@ class Trainer:
         rate = settings.learning_rate
         if settings.schedule == "cosine":
             rate *= 0.5 * (1 + math.cos(math.pi * self.done / settings.epochs))
-        for group in self.optimiser.param_groups:
-            group["lr"] = rate
+        self.optimiser.rate = rate
 
     def _validate(self, train_loss: float) -> EpochReport:
         model, held_out = self.model.eval(), self.split.held_out

@@ -254,7 +254,7 @@ def test_the_rate_falls_as_a_cosine_and_so_across_a_resume(tmp_path: Path) -> No
     trainer = Trainer(data, SMALL)
     rates = []
     for report in trainer.epochs():
-        rates.append(trainer.optimiser.param_groups[0]["lr"])
+        rates.append(trainer.optimiser.rate)
         if report.epoch == 2:
             save_state(tmp_path / "a.resume.safetensors", trainer, "x")
     # 1e-3 (1 + cos(pi k / 4)) / 2 for k = 0, 1, 2, 3
@@ -262,4 +262,4 @@ def test_the_rate_falls_as_a_cosine_and_so_across_a_resume(tmp_path: Path) -> No
     again = Trainer(data, SMALL)
     load_state(tmp_path / "a.resume.safetensors", again, "x")
     next(again.epochs())
-    assert again.optimiser.param_groups[0]["lr"] == rates[2]
+    assert again.optimiser.rate == rates[2]

@@ -30,7 +30,7 @@ from backend.learning.origin import (
 from backend.learning.resume import forget_state, load_state, resume_path, save_state
 from backend.learning.samples import bottom_figures, choose_samples, save_samples
 from backend.learning.shape import ARCH
-from backend.learning.training import Trainer, fingerprint
+from backend.learning.training import Trainer, compute_alike, fingerprint
 
 DIVERGED_NATS = 2 * math.log(2)
 """Twice the loss of always answering 0.5."""
@@ -47,8 +47,7 @@ def fit(job: TrainingJob, tell: Tell, cancelled: Callable[[], bool]) -> None:
             "A model file ends in .safetensors.", str(job.out), "Choose another --out."
         )
     began_s = time.monotonic()
-    torch.set_num_threads(job.threads)
-    torch.use_deterministic_algorithms(True)
+    compute_alike(job.threads)
     rows = load_episodes(job.data, job.piece, job.labels)
     data = fingerprint(rows)
     trainer = Trainer(rows, job.settings)

@@ -187,8 +187,14 @@ def in_parts(index: NDArray[np.int64], size: int = PART) -> list[NDArray[np.int6
 
 def one_thread() -> None:
     """Let this process train and predict on one thread, the same on every machine."""
-    torch.set_num_threads(1)
-    torch.use_deterministic_algorithms(True)
+    compute_alike(1)
+
+
+def compute_alike(threads: int) -> None:
+    """Let this process compute on so many threads, by algorithms that repeat their results."""
+    torch.set_num_threads(threads)
+    # ``use_deterministic_algorithms`` would also load torch's compiler, to set an option of it.
+    torch.set_deterministic_debug_mode("error")
 
 
 def bce(logits: Tensor, targets: Tensor) -> Tensor:

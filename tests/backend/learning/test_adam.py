@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from backend.learning.adam import Adam
+from backend.learning.training import one_thread
 
 RATE = 0.01
 
@@ -39,8 +40,11 @@ def test_steps_follow_the_formula_and_go_on_from_kept_moments() -> None:
     np.testing.assert_allclose(reached, by_formula(start, gradients), rtol=0, atol=2e-6)
 
 
-def test_a_step_does_not_load_the_compiler_of_torch() -> None:
+def test_a_training_does_not_load_the_compiler_of_torch() -> None:
     """Loading it takes as long as loading torch, at the start of every training."""
+    one_thread()
+    assert torch.are_deterministic_algorithms_enabled()
+    assert not torch.is_deterministic_algorithms_warn_only_enabled()
     parameter = torch.nn.Parameter(torch.ones(2))
     optimiser = Adam([parameter], RATE)
     parameter.sum().backward()

@@ -21,7 +21,7 @@ def busy(link: Link) -> bool:
 def moving(link: Link) -> bool:
     """Whether something may be moving (Space then means STOP)."""
     status = link.status()
-    if status.state in MOVING and status.awaiting is None:
+    if status.state in MOVING and status.awaiting is None and not status.asks:
         return True
     arm = link.devices.get("arm")
     mode = getattr(arm, "status", None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Protocol
 
 from backend.calibration.store import CalibrationStore
@@ -17,6 +18,7 @@ from backend.devices.interlock import Interlock, Limits
 from backend.devices.protocols import Device
 from backend.objects.catalogue import Catalogue
 from backend.rig.connection import Connection
+from backend.runs.gate import Gate
 from backend.runs.hand import Hand
 from backend.runs.requests import Request, RunStatus
 
@@ -57,6 +59,12 @@ class Link(Protocol):
     """Takes what is collected; set while no run goes on."""
     calibrations: CalibrationStore | None
     """What the bench knows about itself."""
+    gate: Gate
+    """Takes what the operator saw of a released piece."""
+
+    @property
+    def run_folder(self) -> Path | None:
+        """Folder of the last run, None if it is not kept."""
 
     @property
     def pace(self) -> float:

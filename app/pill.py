@@ -44,8 +44,9 @@ def pill_of(link: Link) -> PillState:
     if status.state is RunState.IDLE and link.hand is not None and link.hand.pressing_n:
         note = f"{link.hand.pressing_n:.0f} N: lift, jog +Z"
         return PillState("IN CONTACT", "diamond", "yellow", note)
-    if status.awaiting is not None:
-        return PillState("YOUR TURN", "triangle", "blue", "approve or decline")
+    asks = status.asks if status.state is RunState.RUNNING else ""
+    if status.awaiting is not None or asks:
+        return PillState("YOUR TURN", "triangle", "blue", asks or "approve or decline")
     word, shape, colour = _WORDS[status.state]
     return PillState(word, shape, colour, _with(note, status))
 

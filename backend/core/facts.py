@@ -124,6 +124,39 @@ class ApprovalAwaited(Fact):
 
 
 @dataclass(frozen=True, slots=True)
+class SetUpAwaited(Fact):
+    """A trial waits until the operator has put ``bottom`` in its place; nothing moves before.
+
+    ``start_mm``: where the face of ``piece`` will be over it, drawn from the offsets at which it
+    would fall. ``holds``: the gripper has the piece already, else it is handed over next.
+    """
+
+    piece: str
+    bottom: str
+    start_mm: tuple[float, float]
+    holds: bool
+
+
+@dataclass(frozen=True, slots=True)
+class OutcomeAwaited(Fact):
+    """The piece was let go where the truth is not known: the operator says what became of it.
+
+    ``proposed`` is what wrist and gripper speak for, and ``why``.
+    """
+
+    proposed: Outcome
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class PhotoKept(Fact):
+    """A picture of trial ``trial`` was put beside the journal; ``path``: name of its file."""
+
+    trial: int
+    path: str
+
+
+@dataclass(frozen=True, slots=True)
 class Released(Fact):
     """The gripper opened; ``fall`` is there if the piece fell on a bench that can animate it."""
 

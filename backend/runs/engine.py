@@ -18,12 +18,16 @@ from backend.core.facts import (
     ApprovalAwaited,
     Fact,
     FaultRaised,
+    HandOverAwaited,
+    OutcomeAwaited,
     PatchEstimated,
     Paused,
     PhaseEntered,
+    Released,
     RunFinished,
     RunStarted,
     Said,
+    SetUpAwaited,
     TrialStarted,
 )
 from backend.core.faults import Fault, FaultError, InputError, RefusedError, TouchdownError
@@ -39,6 +43,11 @@ from backend.runs.plan import (
 )
 from backend.runs.requests import RunState, RunStatus
 
+_ASKS: dict[type[Fact], str] = {
+    SetUpAwaited: "set the scene",
+    HandOverAwaited: "a hand at the jaws",
+    OutcomeAwaited: "say the outcome",
+}
 _ACTIVE = {RunState.RUNNING, RunState.PAUSING, RunState.PAUSED, RunState.PREPARING}
 
 
@@ -212,7 +221,7 @@ class Engine:
         with self._lock:
             self._plan, self._waiting, self._result = None, None, result
             self._status = replace(
-                self._status, state=RunState.IDLE, run_id="", phase="", awaiting=None
+                self._status, state=RunState.IDLE, run_id="", phase="", awaiting=None, asks=""
             )
             self._interlock.drop_lease()
         self._idle.set()
@@ -247,9 +256,11 @@ def _followed(status: RunStatus, fact: Fact) -> RunStatus:
             status, state=RunState.RUNNING, run_id=fact.run_id, trials=fact.trials, text="Running"
         )
     if isinstance(fact, TrialStarted):
-        return replace(status, trial=fact.trial, probe=0, felt=0, phase="", awaiting=None)
+        return replace(status, trial=fact.trial, probe=0, felt=0, phase="", awaiting=None, asks="")
     if isinstance(fact, PhaseEntered):
-        return replace(status, phase=fact.phase, probe=fact.probe, awaiting=None)
+        return replace(status, phase=fact.phase, probe=fact.probe, awaiting=None, asks="")
+    if type(fact) in _ASKS or isinstance(fact, Released):
+        return replace(status, asks=_ASKS.get(type(fact), ""))
     if isinstance(fact, PatchEstimated):
         return replace(status, felt=fact.probe)
     if isinstance(fact, ActionChosen):

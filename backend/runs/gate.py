@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 
 from backend.core.facts import Decision
+from backend.core.flow import Outcome
 
 
 class Decisions:
@@ -38,17 +39,29 @@ class Gate:
         self._lock = threading.Lock()
         self._asked = False
         self._answer: bool | None = None
+        self._seen: tuple[Outcome, str] | None = None
 
     def ask(self) -> None:
         """Forget an old answer and wait for a new one."""
         with self._lock:
-            self._asked, self._answer = True, None
+            self._asked, self._answer, self._seen = True, None, None
 
     def answer(self, yes: bool) -> None:
         """Answer the open question; without one this does nothing."""
         with self._lock:
             if self._asked:
                 self._asked, self._answer = False, yes
+
+    def see(self, outcome: Outcome, reason: str) -> None:
+        """Say what became of a piece; without an open question this does nothing."""
+        with self._lock:
+            if self._asked:
+                self._asked, self._seen = False, (outcome, reason)
+
+    @property
+    def seen(self) -> tuple[Outcome, str] | None:
+        """What the operator saw, and the reason they gave; None before they said it."""
+        return self._seen
 
     @property
     def answered(self) -> bool:

@@ -34,7 +34,9 @@ def rest(bench: Bench, seconds: float) -> Plan[None]:
 
 
 def take_piece(bench: Bench) -> Plan[None]:
-    """Close the gripper on the piece and let it settle."""
+    """Close the gripper on the piece and let it settle; a piece that is held stays so."""
+    if bench.gripper.status().holding:
+        return
     yield PhaseEntered(bench.now_s(), "grip", 0)
     grip = bench.gripper.grip(bench.settings.probe.grip_force_n)
     yield from motion_done(grip, GRIP_S, "the gripper to hold the piece")

@@ -5,16 +5,18 @@ from __future__ import annotations
 from backend.core.facts import Released, TrialFinished
 from backend.core.flow import Outcome
 from backend.runs import words
+from backend.runs.attended import seen_outcome
 from backend.runs.bench import Bench
 from backend.runs.ending import Ending
 from backend.runs.plan import Plan
 
 
 def after_release(bench: Bench, probe: int) -> Plan[Ending]:
-    """Announce what a bench with known truth says; without truth the operator decides later."""
+    """Announce what a bench with known truth says; without truth the operator is asked."""
     if bench.scoring is None:
-        yield Released(bench.now_s(), probe, True, None, None)
-        return Ending(Outcome.PLACED, "The piece was released; the operator confirms.", probe)
+        ending = yield from seen_outcome(bench, probe)
+        yield Released(bench.now_s(), probe, ending.outcome is Outcome.PLACED, None, None)
+        return ending
     verdict = bench.scoring.verdict()
     yield Released(bench.now_s(), probe, verdict.stands, verdict.margin_mm, verdict.fall)
     if verdict.knocked_over:

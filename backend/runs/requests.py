@@ -44,6 +44,7 @@ class StackRequest:
     """Stack ``piece`` on ``bottoms`` (bottom-up; the last one is touched) ``trials`` times.
 
     Trial k uses ``seed + k``. ``model`` is a checkpoint file, None for the one in use.
+    ``origin_mm``: on devices, where the centre of the bottom is for the arm.
     """
 
     piece: str = "pot"
@@ -53,6 +54,7 @@ class StackRequest:
     strategy: Strategy = "paper"
     mode: Mode = "auto"
     model: str | None = None
+    origin_mm: tuple[float, float] = (0.0, 0.0)
 
     def scene(self, trial: int = 0) -> SceneChoice:
         """Return the scene of trial 0, 1, ...; pick-and-place needs no model."""
@@ -176,7 +178,8 @@ class RunState(Enum):
 class RunStatus:
     """A snapshot of the engine, taken under its lock.
 
-    ``probe`` is the one begun last, ``felt`` the last one that gave an estimate.
+    ``probe`` is the one begun last, ``felt`` the last one that gave an estimate. ``asks``: what the
+    run waits for at the operator's hand or eye; ``awaiting``: for a yes to this action.
     """
 
     state: RunState
@@ -188,3 +191,4 @@ class RunStatus:
     phase: str = ""
     awaiting: PlaceAction | None = None
     text: str = ""
+    asks: str = ""

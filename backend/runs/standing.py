@@ -12,10 +12,6 @@ from backend.runs.requests import Request, StackRequest
 
 def refuse_on_devices(connection: Connection, request: Request) -> None:
     """Raise ``RefusedError`` for what only a simulation can do, or while a device is away."""
-    if isinstance(request, StackRequest) and request.trials > 1:
-        raise RefusedError(
-            "ONE-TRIAL", "On devices every trial is set up by hand: start one at a time."
-        )
     if isinstance(request, StackRequest) and request.strategy == "pick-and-place":
         raise RefusedError("SIMULATED-ONLY", "Letting go untested is for simulations only.")
     if missing := connection.missing():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from backend.core.facts import RunFinished, RunStarted, TrialStarted
 from backend.core.flow import Outcome
+from backend.runs import attended
 from backend.runs.baseline import pick_and_place
 from backend.runs.bench import Bench
 from backend.runs.ending import Ending
@@ -37,7 +38,8 @@ def stack_run(host: RunHost, request: StackRequest) -> Plan[None]:
         seed = request.seed + trial
         start_mm = None if bench.scoring is None else bench.scoring.start_mm()
         yield TrialStarted(bench.now_s(), trial + 1, seed, start_mm)
-        ending, run_ending = yield from _one_trial(bench, request)
+        at_mm = None if bench.scoring is not None else attended.start_mm(host, request, trial)
+        ending, run_ending = yield from _one_trial(bench, request, at_mm)
         yield finished(bench, trial + 1, seed, ending)
         if run_ending is not None:
             reason = ending.reason if ending.fault is None else ending.fault.what
@@ -46,10 +48,23 @@ def stack_run(host: RunHost, request: StackRequest) -> Plan[None]:
     yield RunFinished(bench.now_s(), host.run_id, "finished", "All trials are done.")
 
 
-def _one_trial(bench: Bench, request: StackRequest) -> Plan[tuple[Ending, RunEnding | None]]:
-    """Return how the trial ended and, if the whole run ends with it, how the run ended."""
-    plan = pick_and_place if request.strategy == "pick-and-place" else stack
-    ended = yield from orderly(bench, plan(bench))
+def _one_trial(
+    bench: Bench, request: StackRequest, at_mm: tuple[float, float] | None
+) -> Plan[tuple[Ending, RunEnding | None]]:
+    """Return how the trial ended and, if the whole run ends with it, how the run ended.
+
+    ``at_mm``: start of a trial that an operator sets up.
+    """
+    ended = yield from orderly(bench, _placing(bench, request, at_mm))
     if ended.value is not None:
         return ended.value, None if ended.value.fault is None else "failed"
     return Ending(Outcome.ABORTED, ended.reason, bench.felt_count()), ended.run_ending
+
+
+def _placing(
+    bench: Bench, request: StackRequest, at_mm: tuple[float, float] | None
+) -> Plan[Ending]:
+    if at_mm is not None:
+        yield from attended.set_up(bench, request, at_mm)
+    plan = pick_and_place if request.strategy == "pick-and-place" else stack
+    return (yield from plan(bench))

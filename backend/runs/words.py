@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from backend.core.facts import HandOverAwaited
-from backend.core.flow import ContactPatch, PlaceAction, Stability, SupportKind
+from backend.core.facts import HandOverAwaited, OutcomeAwaited, SetUpAwaited
+from backend.core.flow import ContactPatch, Outcome, PlaceAction, Stability, SupportKind
 
 CONTRADICTED = "The physics engine contradicts the static judge here; the static judge decides."
 
@@ -74,3 +74,39 @@ def rejected(probe: int, reasons: tuple[str, ...]) -> str:
 def late(held_s: float) -> str:
     """Say that a verdict came too late to be acted on while pressed."""
     return f"The verdict took {held_s:.1f} s, too long to hold the press: lifted, probing again."
+
+
+_SEEN = {
+    Outcome.PLACED: "The operator saw it stand.",
+    Outcome.FELL: "The operator saw it fall.",
+    Outcome.KNOCKED_OVER: "The operator saw the bottom disturbed.",
+}
+
+
+def seen(outcome: Outcome, reason: str) -> str:
+    """Say what the operator saw, with the reason they gave; a trial that is void needs one."""
+    if outcome is Outcome.ABORTED:
+        return f"Void: {reason.rstrip('.')}."
+    said = _SEEN[outcome]
+    return f"{said} {reason}".strip()
+
+
+def scene_to_set(awaited: SetUpAwaited) -> str:
+    """Say what stands where before a trial on devices begins."""
+    x, y = (f"{value:+.1f}".replace("-", "\N{MINUS SIGN}") for value in awaited.start_mm)
+    bottom = " on ".join(reversed(awaited.bottom.split("+")))
+    held = "" if awaited.holds else f" The {awaited.piece} is handed over next."
+    return (
+        f"Put the {bottom} in its place and take the hands away: the {awaited.piece} starts "
+        f"{x}, {y} mm off its centre, where it would fall.{held}"
+    )
+
+
+def outcome_question(awaited: OutcomeAwaited) -> str:
+    """Ask what became of the piece, with what the signals speak for."""
+    said = {
+        Outcome.PLACED: "it stands",
+        Outcome.FELL: "it fell",
+        Outcome.KNOCKED_OVER: "the bottom was disturbed",
+    }.get(awaited.proposed, "the trial is void")
+    return f"What became of it? {awaited.why} Proposed: {said}."

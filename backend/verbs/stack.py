@@ -25,6 +25,7 @@ from backend.core.faults import InputError
 from backend.core.flow import Outcome
 from backend.runs.requests import Mode, StackRequest
 from backend.runs.store import calibrations_folder, data_folder, models_folder
+from backend.verbs.attending import attend
 from backend.verbs.connecting import (
     add_lab_arguments,
     ask_on_a_thread,
@@ -73,6 +74,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("auto", "approve", "step"),
         help="ask before a move (default: auto when simulated, approve on devices)",
     )
+    parser.add_argument(
+        "--origin", type=float, nargs=2, default=(0.0, 0.0), metavar=("X", "Y"),
+        help="on devices: centre of the bottom in the frame of the arm, mm (default: 0 0)",
+    )  # fmt: skip
     add_lab_arguments(parser)
     parser.add_argument("--preset", help="noise preset: mixed, quiet, hard, off, realistic")
     parser.add_argument(
@@ -107,9 +112,13 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     lab = args.bench is not None and is_lab_file(Path(args.bench))
     if not lab:
         refuse_lab_arguments(args)
+        if any(args.origin):
+            raise InputError("Only devices need that.", "--origin", "Name a lab file with --bench.")
     mode: Mode = args.mode or ("approve" if lab else "auto")
     if mode != "auto" and screen.json:
         raise InputError("Nobody would see what to approve.", "--mode", "Leave out --json.")
+    if lab and screen.json:
+        raise InputError("Trials on devices ask their operator.", "--json", "Leave it out.")
     request = StackRequest(
         piece=args.piece,
         bottoms=tuple(args.bottom.split("+")),
@@ -118,6 +127,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         strategy=args.strategy,
         mode=mode,
         model=args.model,
+        origin_mm=(args.origin[0], args.origin[1]),
     )
     runs = Path(args.runs) if args.runs else data_folder() / "runs"
     choice = (
@@ -139,6 +149,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         session.hub.subscribe(lambda fact: _follow(fact, trials, faults))
         session.hub.subscribe(lambda fact: narrate(fact, screen, bench))
         session.hub.subscribe(lambda fact: _ask(fact, session, screen))
+        session.hub.subscribe(lambda fact: attend(fact, session, screen))
         with ctrl_c_cancels(session.engine.cancel):
             session.run(request)
     screen.show(trial_table(trials, bench="simulated" if session.simulated else bench))

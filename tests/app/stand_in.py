@@ -48,6 +48,7 @@ from backend.devices.protocols import (
     SafetyMode,
 )
 from backend.objects.catalogue import load_catalogue
+from backend.runs.gate import Gate
 from backend.runs.requests import RunState, RunStatus
 
 ROWS, COLS = np.mgrid[0:7, 0:9]
@@ -108,7 +109,7 @@ class StandInBench:
 
     def __init__(self):
         self.hub, self.interlock, self.catalogue = Hub(), Interlock(), load_catalogue()
-        self.hush = Hush()
+        self.hush, self.gate, self.run_folder = Hush(), Gate(), None
         self.frames = {f: Stream(f"tactile_{f}", 8) for f in FINGERS}
         self.fields = {f: Stream(f"markers_{f}", 8) for f in FINGERS}
         self.wrench = SampleStream("wrench", 6, 20_000)

@@ -1,0 +1,145 @@
+"""A trial whose truth nobody computes: set up, started where it would fall, judged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from backend.assembly import simulated_session
+from backend.core.facts import (
+    Fact,
+    HandOverAwaited,
+    OutcomeAwaited,
+    PhaseEntered,
+    RunFinished,
+    SetUpAwaited,
+    TrialFinished,
+)
+from backend.core.flow import Outcome
+from backend.objects.catalogue import load_catalogue
+from backend.objects.tower import Tower, judge
+from backend.runs.attended import judged
+from backend.runs.requests import StackRequest
+from backend.session import Keep
+from backend.verbs.attending import read_outcome
+from tests.backend.brisk import brisk_bench, brisk_method
+
+POT = load_catalogue().piece("pot")
+HEAVY = replace(POT, mass_g=200.0)
+
+
+class Attended:
+    """A simulated bench that keeps its truth to itself, and an operator who answers."""
+
+    def __init__(self, tmp_path, seen=(Outcome.PLACED, "")):
+        self.session = simulated_session(
+            brisk_bench("quiet"), keep=Keep(tmp_path, episodes=False), method=brisk_method()
+        )
+        make = self.session._make_stage
+        self.stages = []
+
+        def blind(choice, raw):
+            self.stages.append(make(choice, raw))
+            return replace(self.stages[-1], scoring=None)
+
+        self.session._make_stage = blind
+        self.seen, self.ready, self.facts, self.asks = seen, True, list[Fact](), []
+        self.session.hub.subscribe(self._answer)
+
+    def _answer(self, fact: Fact) -> None:
+        self.facts.append(fact)
+        if isinstance(fact, SetUpAwaited | HandOverAwaited):
+            self.asks.append((self.session.status().asks, self.session.hand.holding))
+            self.session.answer(self.ready)
+        elif isinstance(fact, OutcomeAwaited):
+            self.asks.append((self.session.status().asks, self.session.hand.holding))
+            self.session.gate.see(*self.seen)
+
+    def run(self, **asked):
+        self.session.run(StackRequest(piece="pot", bottoms=("short",), seed=7, **asked))
+        self.session.close()
+        return self.of(TrialFinished)
+
+    def of(self, kind):
+        return [fact for fact in self.facts if isinstance(fact, kind)]
+
+
+@pytest.mark.slow
+def test_a_trial_is_set_up_started_where_it_would_fall_and_judged_by_the_operator(tmp_path):
+    attended = Attended(tmp_path, (Outcome.KNOCKED_OVER, "I bumped into it."))
+    (finished,) = attended.run(origin_mm=(1.0, -2.0))
+    (asked,) = attended.of(SetUpAwaited)
+    assert attended.asks == [
+        ("set the scene", False), ("a hand at the jaws", False), ("say the outcome", False)
+    ]  # fmt: skip
+    # The static judge, asked here once more: the piece would fall from where it starts.
+    at = Tower((load_catalogue().piece("short").body(),)).with_top(POT.body(asked.start_mm))
+    assert judge(at).margin_mm < 0
+    pressed = next(f for f in attended.facts if isinstance(f, PhaseEntered) and f.phase == "press")
+    poses = attended.session.raw.poses.window(0.0, pressed.t_s).values
+    assert poses[-1, :2] == pytest.approx(np.add(asked.start_mm, (1.0, -2.0)), abs=0.2)
+    assert finished.outcome is Outcome.KNOCKED_OVER
+    assert finished.reason == "The operator saw the bottom disturbed. I bumped into it."
+    assert (finished.margin_mm, finished.excess_probes) == (None, None)
+    # What the signals said agrees with the truth that the bench keeps to itself.
+    (proposal,) = attended.of(OutcomeAwaited)
+    assert (proposal.proposed is Outcome.PLACED) == attended.stages[-1].scoring.verdict().stands
+
+
+def test_without_a_set_scene_nothing_moves(tmp_path):
+    attended = Attended(tmp_path)
+    attended.ready = False
+    (finished,) = attended.run(trials=3)
+    assert finished.outcome is Outcome.ABORTED
+    assert attended.of(PhaseEntered) == []
+    assert attended.of(RunFinished)[-1].ending == "cancelled"
+
+
+def test_starts_follow_from_the_seed_and_differ(tmp_path):
+    drawn = []
+    for seed in (7, 8, 7):
+        attended = Attended(tmp_path / str(len(drawn)))
+        attended.ready = False
+        attended.session.run(StackRequest(piece="pot", bottoms=("short",), seed=seed))
+        attended.session.close()
+        drawn.append(attended.of(SetUpAwaited)[0].start_mm)
+    assert drawn[0] == drawn[2] != drawn[1]
+
+
+@pytest.mark.parametrize(
+    ("piece", "side_n", "left_n", "holding", "outcome"),
+    [
+        (HEAVY, 0.3, 1.9, False, Outcome.PLACED),
+        (HEAVY, 3.0, 1.9, False, Outcome.FELL),
+        (HEAVY, 0.3, 0.2, False, Outcome.ABORTED),
+        (HEAVY, 0.3, 1.9, True, Outcome.ABORTED),
+        (POT, 0.3, -0.1, False, Outcome.PLACED),
+        (HEAVY, float("nan"), 1.9, False, Outcome.FELL),
+    ],
+)
+def test_wrist_and_gripper_propose(piece, side_n, left_n, holding, outcome):
+    found, why = judged(piece, side_n=side_n, left_n=left_n, holding=holding)
+    assert found is outcome
+    assert why.endswith(".")
+
+
+ASKED = OutcomeAwaited(0.0, Outcome.PLACED, "Nothing pushed.")
+STUCK = OutcomeAwaited(0.0, Outcome.ABORTED, "It hangs.")
+
+
+@pytest.mark.parametrize(
+    ("line", "asked", "said"),
+    [
+        ("\n", ASKED, (Outcome.PLACED, "")),
+        ("\n", STUCK, (Outcome.ABORTED, "It hangs.")),
+        ("F it leaned\n", ASKED, (Outcome.FELL, "it leaned")),
+        ("d\n", ASKED, (Outcome.KNOCKED_OVER, "")),
+        ("v wrong piece\n", ASKED, (Outcome.ABORTED, "wrong piece")),
+        ("v\n", ASKED, None),
+        ("yes\n", ASKED, None),
+    ],
+)
+def test_a_line_says_what_was_seen(line, asked, said):
+    assert read_outcome(line, asked) == said

@@ -8,28 +8,22 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TypeAlias
 
-import numpy as np
-
 from backend.config.hardware import GelsightSettings
 from backend.core.faults import Fault, FaultError
 from backend.core.flow import Finger, ImageArray, TactileFrame
 from backend.core.stream import Stream
-from backend.devices.cameras.faults import dark_fault, frozen_fault, link_fault
+from backend.devices.cameras.faults import link_fault
 from backend.devices.cameras.finding import find_cameras
+from backend.devices.cameras.gate import Gate
 from backend.devices.cameras.newest import Newest
-from backend.devices.cameras.picture import decode, fit
 from backend.devices.cameras.sources import Source, open_source
 from backend.devices.protocols import DeviceState, Health, Identity
 from backend.devices.steps import Steps
-from backend.wire.framing import WireError
 
 CAPACITY = 256
 READ_S = 0.05
 TAKE_S = 0.1
 JOIN_S = 1.0
-EQUAL_INVALID, EQUAL_FAULT = 3, 10
-"""So many equal pictures in a row are no measurement; so many mean that the camera hangs."""
-DARK_S = 3.0
 STALE_S = 0.12
 RATE_WINDOW_S = 1.0
 RETRY_S = (0.5, 1.0, 1.5)
@@ -60,7 +54,8 @@ class TactileCamera:
         self._identity: Identity | None = None
         self._facts: Mapping[str, float] = {}
         self._arrivals: deque[float] = deque(maxlen=512)
-        self._received = self._invalid = self._damaged = self.reopened = 0
+        self._received = self._damaged = self.reopened = 0
+        self._gate = self._new_gate()
         self.steps = Steps()
         self.fault: Fault | None = None
 
@@ -85,7 +80,7 @@ class TactileCamera:
         now_s, arrivals = self._now_s(), list(self._arrivals)
         newest_s = arrivals[-1] if arrivals else float("-inf")
         rate_hz = sum(t > now_s - RATE_WINDOW_S for t in arrivals) / RATE_WINDOW_S
-        lost = self._damaged + self._invalid + self._newest.skipped
+        lost = self._damaged + self._gate.invalid + self._newest.skipped
         return Health(rate_hz, now_s - newest_s, self._received, lost)
 
     def describe(self) -> Mapping[str, str | float]:
@@ -96,7 +91,7 @@ class TactileCamera:
             "condition": "stale" if stale else self._state.value,
             "mm_per_px_x": self._settings.mm_per_px_x,
             "mm_per_px_y": self._settings.mm_per_px_y,
-            "invalid": self._invalid,
+            "invalid": self._gate.invalid,
             "skipped": self._newest.skipped,
             "reopened": self.reopened,
             **self._facts,
@@ -110,7 +105,8 @@ class TactileCamera:
         self._state, self.fault = DeviceState.CONNECTING, None
         self.steps.begin()
         self._stop, self._first, self._newest = threading.Event(), threading.Event(), Newest()
-        self._received = self._invalid = self._damaged = self.reopened = 0
+        self._received = self._damaged = self.reopened = 0
+        self._gate = self._new_gate()
         self._arrivals.clear()
         targets = (self._watch, self._deliver)
         self._threads = [
@@ -133,6 +129,9 @@ class TactileCamera:
             thread.join(JOIN_S)
         self._threads = []
         self._state = DeviceState.CLOSED
+
+    def _new_gate(self) -> Gate:
+        return Gate(self.finger, self.name, self._settings, self._now_s())
 
     def find(self) -> Path:
         """Return where the camera is now; raises ``FaultError``."""
@@ -188,35 +187,19 @@ class TactileCamera:
         return sequence
 
     def _deliver(self, stop: threading.Event) -> None:
-        """Make pictures of what was read and hand them on, unless they are none."""
-        last: bytes = b""
-        equal, dark_since_s = 0, self._now_s()
+        """Take what was read until told to stop."""
         while not stop.is_set():
             taken = self._newest.take(TAKE_S)
-            if taken is None:
-                continue
-            t_s, sequence, content = taken
-            raw = content if isinstance(content, bytes) else content.tobytes()
-            equal = equal + 1 if raw == last else 0
-            last = raw
-            image = None if equal + 1 >= EQUAL_INVALID else self._image(content)
-            if equal + 1 == EQUAL_FAULT:
-                self._fail(frozen_fault(self.name))
-            if image is None:
-                self._invalid += 1
-            elif self._first.is_set() or float(np.mean(image)) >= self._settings.darkest_mean:
-                self._hand_on(TactileFrame(self.finger, sequence, t_s, image))
-            elif t_s - dark_since_s > DARK_S:
-                self._fail(dark_fault(self.name))
+            if taken is not None:
+                self._take(*taken)
 
-    def _image(self, content: bytes | ImageArray) -> ImageArray | None:
-        crop = self._own.crop_fraction
-        crop = self._settings.crop_fraction if crop is None else crop
-        try:
-            whole = decode(content, crop) if isinstance(content, bytes) else content
-            return fit(whole, crop, self._own.mirror)
-        except WireError:
-            return None
+    def _take(self, t_s: float, sequence: int, content: bytes | ImageArray) -> None:
+        """Hand a picture on, unless it is none."""
+        image = self._gate.judge(t_s, content)
+        if self._gate.fault is not None:
+            self._fail(self._gate.fault)
+        if image is not None:
+            self._hand_on(TactileFrame(self.finger, sequence, t_s, image))
 
     def _hand_on(self, frame: TactileFrame) -> None:
         self._frames.put(frame.t_s, frame)

@@ -1,0 +1,61 @@
+"""Which of the pictures that a camera sends are measurements: no frozen, dark or damaged ones."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backend.config.hardware import GelsightSettings
+from backend.core.faults import Fault
+from backend.core.flow import Finger, ImageArray
+from backend.devices.cameras.faults import dark_fault, frozen_fault
+from backend.devices.cameras.picture import decode, fit
+from backend.wire.framing import WireError
+
+EQUAL_INVALID, EQUAL_FAULT = 3, 10
+"""So many equal pictures in a row are no measurement; so many mean that the camera hangs."""
+DARK_S = 3.0
+
+
+class Gate:
+    """Of one connection from ``now_s`` on; the caller owns the clock.
+
+    ``invalid``: pictures that were none. ``fault``: of the newest picture, if it tells of one.
+    """
+
+    def __init__(self, finger: Finger, name: str, settings: GelsightSettings, now_s: float) -> None:
+        self._settings, self._name = settings, name
+        self._own = settings.left if finger == "left" else settings.right
+        self._begun_s = now_s
+        self._last: bytes = b""
+        self._equal = 0
+        self._lit = False
+        self.invalid = 0
+        self.fault: Fault | None = None
+
+    def judge(self, t_s: float, content: bytes | ImageArray) -> ImageArray | None:
+        """Return the picture as the tracker takes it, (240, 320, 3); None if it is none."""
+        self.fault = None
+        raw = content if isinstance(content, bytes) else content.tobytes()
+        self._equal = self._equal + 1 if raw == self._last else 0
+        self._last = raw
+        image = None if self._equal + 1 >= EQUAL_INVALID else self._image(content)
+        if self._equal + 1 == EQUAL_FAULT:
+            self.fault = frozen_fault(self._name)
+        if image is None:
+            self.invalid += 1
+            return None
+        self._lit = self._lit or float(np.mean(image)) >= self._settings.darkest_mean
+        if self._lit:
+            return image
+        if t_s - self._begun_s > DARK_S:
+            self.fault = dark_fault(self._name)
+        return None
+
+    def _image(self, content: bytes | ImageArray) -> ImageArray | None:
+        crop = self._own.crop_fraction
+        crop = self._settings.crop_fraction if crop is None else crop
+        try:
+            whole = decode(content, crop) if isinstance(content, bytes) else content
+            return fit(whole, crop, self._own.mirror)
+        except WireError:
+            return None

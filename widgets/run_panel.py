@@ -21,7 +21,12 @@ from widgets.panel import Panel, label
 from widgets.theme import Theme
 
 NOTHING = "nothing"
-STRATEGIES = (("paper", "Probe and believe"), ("pick-and-place", "Pick and place"))
+STRATEGIES = (
+    ("paper", "Probe and believe"),
+    ("outlines", "Believe in outlines"),
+    ("pressure", "Outlines and pressure"),
+    ("pick-and-place", "Pick and place"),
+)
 MODES = (
     ("auto", "Auto: no questions"),
     ("approve", "Approve each move"),
@@ -98,7 +103,11 @@ class RunPanel(Panel):
             (self._under, "Below it", "A second body under the bottom makes a tower"),
             (self._seed, "Seed", "Trial k uses seed + k; the same seed gives the same run"),
             (self._trials, "Trials", "How many times to stack"),
-            (self._strategy, "Strategy", "The method, or letting go without probing"),
+            (
+                self._strategy,
+                "Strategy",
+                "The paper's method, others, or letting go unprobed",
+            ),
             (self._mode, "Mode", "Whether each move waits for you"),
             (self.pause, "Pause", "Pause at the next safe place, arm lifted (P)"),
             (self.cancel, "Cancel", "End in an orderly way: lift, keep the piece"),

@@ -21,7 +21,6 @@ from widgets.run_panel import STRATEGIES
 from widgets.score_panel import WORDS
 from widgets.theme import Theme
 
-BOTH: tuple[Strategy, Strategy] = ("paper", "pick-and-place")
 NOT_RUN = BeliefScene(empty=("Not run yet", "Run it with the same seed."))
 NO_MAP = BeliefScene(empty=("No belief", "This strategy lets go without a probe."))
 
@@ -61,7 +60,7 @@ class Comparison:
         """Run each strategy that has not answered yet, one after the other."""
         if self._question is not None and not self._waiting and not busy(self._link):
             missing = self._missing(self._question)
-            self._waiting = missing or list(BOTH)
+            self._waiting = missing or list(both(self._question))
             self._next()
 
     def draw(self) -> None:
@@ -71,7 +70,7 @@ class Comparison:
         if self.sheet is None or not self.sheet.isVisible() or self._question is None:
             return
         question = asked(self._question)
-        stories = [self._rivals.story(question, strategy) for strategy in BOTH]
+        stories = [self._rivals.story(question, strategy) for strategy in both(self._question)]
         versions = tuple(None if story is None else story.version for story in stories)
         active = busy(self._link)
         drawn = (question, versions, self.sheet.trial.value(), active, self._link.interlock.latched)
@@ -86,7 +85,7 @@ class Comparison:
         """Start the next strategy; a run that did not end well ends the series."""
         assert self._question is not None
         question = asked(self._question)
-        before = [s for s in BOTH if s not in self._waiting]
+        before = [s for s in both(self._question) if s not in self._waiting]
         last = self._rivals.story(question, before[-1]) if before else None
         if last is not None and last.ended is None:
             return
@@ -98,7 +97,7 @@ class Comparison:
             self._waiting = []
 
     def _missing(self, request: StackRequest) -> list[Strategy]:
-        return [s for s in BOTH if not _answered(self._rivals.story(asked(request), s))]
+        return [s for s in both(request) if not _answered(self._rivals.story(asked(request), s))]
 
     def _show(
         self,
@@ -115,7 +114,7 @@ class Comparison:
         )
         sheet.trial.setRange(1, trials)
         at, titles = sheet.trial.value() - 1, dict(STRATEGIES)
-        for panel, strategy, story in zip(sheet.panels, BOTH, stories, strict=True):
+        for panel, strategy, story in zip(sheet.panels, both(self._question), stories, strict=True):
             panel.show_look(self._look(titles[strategy], story, trials, at))
         missing = self._missing(self._question)
         text = "" if active else "Run both" if len(missing) == 2 else "Run the other one"
@@ -145,6 +144,11 @@ class Comparison:
     def _choose(self, _trial: int) -> None:
         self._drawn = ()
         self.draw()
+
+
+def both(request: StackRequest) -> tuple[Strategy, Strategy]:
+    """Return the paper's strategy and the chosen one; letting go where that is the paper's."""
+    return "paper", "pick-and-place" if request.strategy == "paper" else request.strategy
 
 
 def _answered(story: RunStory | None) -> bool:

@@ -7,11 +7,12 @@ from app.link import Link
 from app.outlines import outlines
 from app.run_story import ProbeLook, RunStory, TrialStory, no_probe, scene_of
 from app.stack.page import StackPage
+from app.stack.rivals import strategy_of
 from app.tally import score_of
 from backend.core.facts import Fact, TrialFinished
 from backend.core.faults import InputError, RefusedError
 from backend.core.flow import Outcome
-from backend.runs.requests import Mode, RunState, RunStatus, StackRequest, Strategy
+from backend.runs.requests import Mode, RunState, RunStatus, StackRequest
 from widgets.belief_scene import BeliefScene
 from widgets.decision_panel import (
     ESTIMATED,
@@ -233,7 +234,7 @@ class StackPresenter:
 def request_of(form: RunForm) -> StackRequest:
     """Return the request of a form."""
     bottoms = (form.under, form.bottom) if form.under else (form.bottom,)
-    strategy: Strategy = "pick-and-place" if form.strategy == "pick-and-place" else "paper"
+    strategy = strategy_of(form.strategy) or "paper"
     modes: dict[str, Mode] = {"auto": "auto", "approve": "approve", "step": "step"}
     return StackRequest(
         piece=form.piece,

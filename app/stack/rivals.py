@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import replace
+from typing import get_args
 
 from app.run_story import RunStory
 from backend.core.facts import Fact, RunStarted, TrialFinished
@@ -18,6 +19,12 @@ Asked = tuple[str, str, int, int]
 def asked(request: StackRequest) -> Asked:
     """Return what a request asks, whichever the strategy."""
     return request.piece, "+".join(request.bottoms), request.seed, request.trials
+
+
+def strategy_of(name: str) -> Strategy | None:
+    """Return the strategy of this name; None if there is none."""
+    names: tuple[Strategy, ...] = get_args(Strategy)
+    return next((known for known in names if known == name), None)
 
 
 class Rivals:
@@ -44,8 +51,7 @@ class Rivals:
 
     def _begin(self, head: RunStarted) -> None:
         self._present = None
-        strategies: dict[str, Strategy] = {"paper": "paper", "pick-and-place": "pick-and-place"}
-        strategy = strategies.get(head.strategy)
+        strategy = strategy_of(head.strategy)
         if head.activity != "stack" or strategy is None:
             return
         question = head.piece, head.bottom, head.seed, head.trials

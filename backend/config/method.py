@@ -23,6 +23,11 @@ TICK_S = 0.1
 """Distance of the ticks, 1 / 10 Hz [P]."""
 
 
+StrategyName = Literal["paper", "outlines", "pressure", "pick-and-place"]
+"""How a trial goes from a probe to its next move: the paper's way, whole outlines in place of
+single cells, outlines that must hold the centre of pressure too, and letting go without a test."""
+
+
 class Settings(BaseModel):
     """A frozen group of settings; an unknown key is an error, not a silent default."""
 
@@ -101,6 +106,21 @@ class PolicySettings(Settings):
     """Give up after this many probes [U]."""
 
 
+class OutlineSettings(Settings):
+    """Support as one displaced outline, and what has to be known before a release."""
+
+    weight: Annotated[float, Field(gt=0, le=1)] = 0.1
+    """Share of a map's log odds that counts: neighbouring cells err together [U]."""
+    pressure_sd_mm: Positive = 1.0
+    """Error of the measured centre of pressure, that of the grasp included [U]."""
+    sensor_height_mm: Positive = 120.0
+    """Force sensor above the grasp pivot; turns lateral force into moment."""
+    risk: Probability = 0.05
+    """Release only where the piece would fall with less than this probability [U]."""
+    inset_mm: NonNegative = 0.5
+    """The centre of mass must lie this far within an outline to count as carried by it [U]."""
+
+
 class ReleaseSettings(Settings):
     """Letting go, as a lab would do it."""
 
@@ -176,7 +196,8 @@ class StackSettings(Settings):
     belief: BeliefSettings = BeliefSettings()
     stability: StabilitySettings = StabilitySettings()
     policy: PolicySettings = PolicySettings()
+    outlines: OutlineSettings = OutlineSettings()
     release: ReleaseSettings = ReleaseSettings()
     collect: CollectSettings = CollectSettings()
-    strategy: Literal["paper", "pick-and-place"] = "paper"
+    strategy: StrategyName = "paper"
     mode: Literal["auto", "approve", "step"] = "auto"

@@ -1,8 +1,8 @@
-"""The stacking loop for many trials at once: the run's own belief, verdict and policy.
+"""The stacking loop for many trials at once, by any strategy.
 
-All trials press side by side; each then concludes by the same pure functions as
-``backend.runs.stack``. What that plan adds on real devices (tare, reference, tracker, interlock)
-does not happen here; episodes are accepted by the same limits on press force and slip.
+All trials press side by side; each then concludes by the same strategy as ``backend.runs.stack``.
+What that plan adds on real devices (tare, reference, tracker, interlock) does not happen here;
+episodes are accepted by the same limits on press force and slip.
 """
 
 from __future__ import annotations
@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backend.config.method import StackSettings
-from backend.core.flow import ContactPatch, FloatArray, Outcome, PlaceAction, Stability
+from backend.core.flow import BeliefMap, ContactPatch, FloatArray, Outcome, PlaceAction, Stability
 from backend.objects.tower import Verdict, judge
-from backend.placement.belief import Belief
-from backend.placement.policy import choose
-from backend.placement.stability import judge as judge_stability
+from backend.placement.strategies import begin
+from backend.placement.strategy import Held, Reasoner, Touched
 from backend.sensing.episode import EpisodeLimits
 from backend.simulation.lockstep import Lockstep, Presses
 from backend.simulation.scene import Scene
@@ -46,7 +45,7 @@ class Concluded:
     """One probe of a trial: where the command was, what was believed and chosen."""
 
     offset_mm: XY
-    belief: Belief
+    map: BeliefMap
     stability: Stability
     action: PlaceAction
 
@@ -74,7 +73,7 @@ class _Trial:
     number: int
     scene: Scene
     here: XY
-    belief: Belief
+    reasoner: Reasoner | None = None
     steps: list[Concluded] = field(default_factory=list)
     tries: int = 0
     true_mm: XY | None = None
@@ -94,15 +93,25 @@ class _Trial:
 
 
 def stack_in_lockstep(
-    scenes: Sequence[Scene], model: Model, settings: StackSettings, limits: EpisodeLimits
+    scenes: Sequence[Scene],
+    model: Model,
+    settings: StackSettings,
+    limits: EpisodeLimits,
+    reasoner: Callable[[Scene, XY], Reasoner] | None = None,
 ) -> list[TrialEnd]:
-    """Run one trial per scene to its end; the scenes share piece, touched surface and bench."""
+    """Run one trial per scene to its end; the scenes share piece, touched surface and bench.
+
+    ``reasoner`` begins a trial of a scene at a commanded place; None: the strategy of the settings.
+    """
     bench = Lockstep(scenes, settings.probe)
     trials = []
     for number, (scene, at) in enumerate(zip(scenes, bench.start_commands_mm(), strict=True)):
-        here = (float(at[0]), float(at[1]))
-        belief = Belief.unknown(settings.belief, here, model.base_rate)
-        trials.append(_Trial(number, scene, here, belief))
+        here = _pair(at)
+        if reasoner is None:
+            held = Held(scene.piece.com_xy_mm, scene.grip_height_mm, model.base_rate)
+            trials.append(_Trial(number, scene, here, begin(held, settings, here)))
+        else:
+            trials.append(_Trial(number, scene, here, reasoner(scene, here)))
     while active := [trial for trial in trials if trial.end is None]:
         felt = bench.press([t.number for t in active], np.array([t.here for t in active]))
         kept = _observed(active, felt, limits)
@@ -110,7 +119,8 @@ def stack_in_lockstep(
             continue
         probability = model.predict(felt.observation[kept])
         for k, p in zip(kept, probability, strict=True):
-            _conclude(active[k], ContactPatch(model.points_mm.copy(), p), bench, model, settings)
+            patch = ContactPatch(model.points_mm.copy(), p)
+            _conclude(active[k], Touched(felt.observation[k], patch, active[k].here), bench)
     return [trial.end for trial in trials if trial.end is not None]
 
 
@@ -124,7 +134,7 @@ def pick_and_place_in_lockstep(
     ends = []
     for k, scene in enumerate(scenes):
         at = (float(commands[k, 0]), float(commands[k, 1]))
-        trial = _Trial(k, scene, at, Belief.unknown(settings.belief, at))
+        trial = _Trial(k, scene, at)
         trial.true_mm = _pair(felt.true_mm[k])
         if felt.toppled[k]:
             trial.close(Outcome.KNOCKED_OVER, TOPPLED)
@@ -163,15 +173,12 @@ def _observed(active: list[_Trial], felt: Presses, limits: EpisodeLimits) -> lis
     return kept
 
 
-def _conclude(
-    trial: _Trial, patch: ContactPatch, bench: Lockstep, model: Model, settings: StackSettings
-) -> None:
-    com = trial.scene.piece.com_xy_mm
+def _conclude(trial: _Trial, touched: Touched, bench: Lockstep) -> None:
     here = trial.here
-    trial.belief = trial.belief.updated(patch, here)
-    stability = judge_stability(trial.belief, patch, com, here, settings.stability)
-    action = choose(stability, trial.belief, here, settings.policy, settings.stability)
-    trial.steps.append(Concluded(here, trial.belief, stability, action))
+    assert trial.reasoner is not None
+    concluded = trial.reasoner.conclude(touched)
+    action = concluded.action
+    trial.steps.append(Concluded(here, concluded.map, concluded.stability, action))
     if action.kind == "release":
         _release(trial, bench)
     elif action.kind == "give_up":

@@ -22,7 +22,7 @@ def film_strip(end: TrialEnd, outline_mm: FloatArray) -> str:
     shift = (last[0] - true[0], last[1] - true[1])
     for number, step in enumerate(end.steps, start=1):
         picture = belief_svg(
-            BeliefUpdated(0.0, step.belief.map, number),
+            BeliefUpdated(0.0, step.map, number),
             StabilityJudged(0.0, step.stability, number),
             ActionChosen(0.0, step.action, number, 0.0),
             outline_mm + shift,

@@ -35,16 +35,16 @@ def choose(
     if stability.stable:
         return PlaceAction("release", (0.0, 0.0), None, False, f"{situation(stability)}: release.")
     if stability.support is SupportKind.NO_ESTIMATE:
-        return _give_up("The model returned no usable estimate: giving up without a release.")
+        return give_up("The model returned no usable estimate: giving up without a release.")
     probes = len(belief.visits)
     if probes >= settings.max_probes:
-        return _give_up(f"{situation(stability, judged_by.margin_mm)} after {probes} probes, "
+        return give_up(f"{situation(stability, judged_by.margin_mm)} after {probes} probes, "
                         "the most allowed: giving up.")  # fmt: skip
     aim = _aim(stability, belief, offset_mm, settings, judged_by.delta)
     if aim is None:
-        return _give_up(f"{situation(stability, judged_by.margin_mm)} and no better place is "
+        return give_up(f"{situation(stability, judged_by.margin_mm)} and no better place is "
                         "known: giving up.")  # fmt: skip
-    return _shift(stability, aim, offset_mm, settings.longest_step_mm, judged_by.margin_mm)
+    return towards(stability, aim, offset_mm, settings.longest_step_mm, judged_by.margin_mm)
 
 
 def situation(stability: Stability, required_mm: float = 0.0) -> str:
@@ -93,9 +93,10 @@ def _moves(here: XY, target: XY, nearest_mm: float) -> bool:
     return math.dist(here, target) >= max(nearest_mm, 1e-6)
 
 
-def _shift(
+def towards(
     stability: Stability, aim: Aim, here: XY, longest_mm: float, required_mm: float
 ) -> PlaceAction:
+    """Return the shift from ``here`` towards the aim, at most ``longest_mm`` long."""
     away = (aim.target_mm[0] - here[0], aim.target_mm[1] - here[1])
     distance_mm = math.hypot(*away)
     clipped = distance_mm > longest_mm
@@ -109,5 +110,6 @@ def _shift(
     return PlaceAction("shift", step, aim.target_mm, clipped, reason)
 
 
-def _give_up(reason: str) -> PlaceAction:
+def give_up(reason: str) -> PlaceAction:
+    """Return the end of a trial without a release."""
     return PlaceAction("give_up", (0.0, 0.0), None, False, reason)

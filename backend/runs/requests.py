@@ -7,10 +7,10 @@ from enum import Enum
 from typing import Literal
 
 from backend.calibration.kinds import What
-from backend.config.method import StackSettings
+from backend.config.method import StackSettings, StrategyName
 from backend.core.flow import PlaceAction
 
-Strategy = Literal["paper", "pick-and-place"]
+Strategy = StrategyName
 Mode = Literal["auto", "approve", "step"]
 GRIPS = 3
 """So many grips at least does a campaign make by default: fewer do not show what a grip does."""
@@ -58,7 +58,7 @@ class StackRequest:
 
     def scene(self, trial: int = 0) -> SceneChoice:
         """Return the scene of trial 0, 1, ...; pick-and-place needs no model."""
-        estimates = self.strategy == "paper" or self.model is not None
+        estimates = self.strategy != "pick-and-place" or self.model is not None
         return SceneChoice(
             self.piece, self.bottoms, self.seed + trial, self.model, estimates,
             alone=self.mode == "auto",

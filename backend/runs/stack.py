@@ -16,9 +16,8 @@ from backend.core.facts import (
 )
 from backend.core.faults import FaultError
 from backend.core.flow import Outcome
-from backend.placement.belief import Belief
-from backend.placement.policy import choose
-from backend.placement.stability import judge
+from backend.placement.strategies import begin
+from backend.placement.strategy import Held, Reasoner, Touched
 from backend.runs import words
 from backend.runs.bench import Bench
 from backend.runs.ending import Ending
@@ -32,19 +31,17 @@ OPERATOR_S = 24 * 3600.0
 
 
 def stack(bench: Bench) -> Plan[Ending]:
-    """Place the piece as the paper does; ends placed, fell, knocked over or gave up."""
+    """Place the piece by the chosen strategy; ends placed, fell, knocked over or gave up."""
     yield from take_piece(bench)
     here = bench.arm.pose(max_age_s=0.2)
-    belief = Belief.unknown(
-        bench.settings.belief, (here.x_mm, here.y_mm), bench.estimator.base_rate
-    )
+    reasoner = begin(held_by(bench), bench.settings, (here.x_mm, here.y_mm))
     approved = bench.settings.mode == "auto"
     probe = 0
     while True:
         yield Checkpoint()
         probe += 1
         felt = yield from probe_until_accepted(bench, probe)
-        belief, judged = yield from _conclude(bench, felt, belief)
+        judged = yield from _conclude(bench, felt, reasoner)
         bench.store.keep(felt.episode)
         held_s = judged.at_s - felt.ended_s
         late = held_s > bench.settings.probe.verdict_wait_s
@@ -68,24 +65,29 @@ def stack(bench: Bench) -> Plan[Ending]:
             yield from shift(bench, judged.action.step_mm, probe)
 
 
-def _conclude(bench: Bench, felt: Felt, belief: Belief) -> Plan[tuple[Belief, Judged]]:
-    """Estimate, fuse, judge, choose; announced only when the action is chosen."""
-    settings = bench.settings
-    offset = felt.episode.offset_mm
-    here = (float(offset[0]), float(offset[1]))
-    patch = bench.estimator.estimate(felt.episode)
-    belief = belief.updated(patch, here)
-    stability = judge(belief, patch, bench.piece.com_xy_mm, here, settings.stability)
-    action = choose(stability, belief, here, settings.policy, settings.stability)
+def held_by(bench: Bench) -> Held:
+    """Return what a strategy may know of the piece in the hand."""
+    piece = bench.piece
+    assert piece.grip_height_mm is not None
+    return Held(piece.com_xy_mm, piece.grip_height_mm, bench.estimator.base_rate)
+
+
+def _conclude(bench: Bench, felt: Felt, reasoner: Reasoner) -> Plan[Judged]:
+    """Estimate, then conclude; announced only when the action is chosen."""
+    episode = felt.episode
+    here = (float(episode.offset_mm[0]), float(episode.offset_mm[1]))
+    patch = bench.estimator.estimate(episode)
+    concluded = reasoner.conclude(Touched(episode.observation, patch, here))
+    stability, action = concluded.stability, concluded.action
     latency_ms = 1e3 * (bench.wall_s() - felt.sampled_s)
     bench.hush.end()
     now_s = bench.now_s()
     yield PatchEstimated(now_s, patch, here, felt.probe)
-    yield BeliefUpdated(now_s, belief.map, felt.probe)
+    yield BeliefUpdated(now_s, concluded.map, felt.probe)
     yield StabilityJudged(now_s, stability, felt.probe)
     yield ActionChosen(now_s, action, felt.probe, latency_ms)
     yield Said(now_s, words.decision(felt.probe, patch, stability, action))
-    return belief, Judged(felt, stability, action, now_s)
+    return Judged(felt, stability, action, now_s)
 
 
 def _let_go(bench: Bench, judged: Judged, *, approved: bool) -> Plan[Ending]:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 from rich.table import Table
 
@@ -23,7 +23,7 @@ from backend.core.facts import (
 )
 from backend.core.faults import InputError
 from backend.core.flow import Outcome
-from backend.runs.requests import Mode, StackRequest
+from backend.runs.requests import Mode, StackRequest, Strategy
 from backend.runs.store import calibrations_folder, data_folder, models_folder
 from backend.verbs.attending import attend
 from backend.verbs.connecting import (
@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, help="trial k uses seed + k")
     parser.add_argument("--trials", type=int, default=1)
-    parser.add_argument("--strategy", choices=("paper", "pick-and-place"), default="paper")
+    parser.add_argument("--strategy", choices=get_args(Strategy), default="paper")
     parser.add_argument("--model", metavar="FILE", help="checkpoint (default: the one in use)")
     parser.add_argument(
         "--method", type=Path, metavar="FILE", help="settings of the method (see 'settings')"

@@ -1,0 +1,111 @@
+"""Strategies that believe in whole outlines: release by risk, step to where the support must be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from backend.config.method import StabilitySettings, StackSettings
+from backend.core.flow import (
+    TACTILE_CHANNELS,
+    BeliefMap,
+    FloatArray,
+    PlaceAction,
+    Stability,
+    SupportKind,
+)
+from backend.placement.balance import centre_of_pressure_mm
+from backend.placement.belief import Belief, is_finite
+from backend.placement.outline_belief import OutlineBelief
+from backend.placement.policy import Aim, give_up, situation, towards
+from backend.placement.stability import judge
+from backend.placement.strategy import XY, Conclusion, Held, Touched
+from backend.placement.targets import next_on_spiral
+
+FIRST_TICK, LAST_TICKS = 0, slice(-4, None)
+LEAST_RISE_N = 2.0
+"""A press that gains less than this says nothing of where it acts."""
+
+
+class OutlineReasoner:
+    """Weighs displaced outlines by the fused map, with ``pressure`` also by where presses acted."""
+
+    def __init__(
+        self, held: Held, settings: StackSettings, origin_mm: XY, *, pressure: bool
+    ) -> None:
+        self._held, self._settings, self._pressure = held, settings, pressure
+        self._belief = Belief.unknown(settings.belief, origin_mm, held.base_rate)
+        self._pressed_mm: list[XY] = []
+
+    def conclude(self, touched: Touched) -> Conclusion:
+        """Fuse, weigh the outlines, judge by the accepted risk, choose."""
+        settings, rules, here = self._settings, self._settings.outlines, touched.offset_mm
+        self._belief = self._belief.updated(touched.patch, here)
+        if not is_finite(touched.patch):
+            stability = judge(
+                self._belief, touched.patch, self._held.com_xy_mm, here, StabilitySettings()
+            )
+            return Conclusion(self._belief.map, stability, give_up(NOTHING))
+        if self._pressure:
+            self._note(touched)
+        outlines = OutlineBelief.given(
+            self._belief.map, rules.weight, self._pressed_mm, rules.pressure_sd_mm
+        )
+        com = self._held.com_xy_mm
+        centre = here[0] + com[0], here[1] + com[1]
+        margin_mm = outlines.margin_mm(centre, rules.risk)
+        stability = Stability(
+            margin_mm >= rules.inset_mm,
+            margin_mm,
+            SupportKind.AREA,
+            outlines.likeliest_mm(),
+            centre,
+            settings.stability.judge_from,
+        )
+        aim = outlines.centre_mm()
+        target = aim[0] - com[0], aim[1] - com[1]
+        action = self._choose(stability, target, here)
+        return Conclusion(self._shown(outlines), stability, action)
+
+    def _note(self, touched: Touched) -> None:
+        lever_mm = self._held.grip_height_mm + self._settings.outlines.sensor_height_mm
+        at = pressed_at_mm(touched.observation[:, TACTILE_CHANNELS:].astype(np.float64), lever_mm)
+        if np.isfinite(at).all():
+            x, y = np.asarray(touched.offset_mm) + at
+            self._pressed_mm.append((float(x), float(y)))
+
+    def _choose(self, stability: Stability, target: XY, here: XY) -> PlaceAction:
+        policy, required = self._settings.policy, self._settings.outlines.inset_mm
+        words = situation(stability, required)
+        if stability.stable:
+            return PlaceAction("release", (0.0, 0.0), None, False, f"{words}: release.")
+        probes = len(self._belief.visits)
+        if probes >= policy.max_probes:
+            return give_up(f"{words} after {probes} probes, the most allowed: giving up.")
+        aim = Aim(target, "")
+        if np.hypot(target[0] - here[0], target[1] - here[1]) < self._settings.belief.min_shift_mm:
+            aim = Aim(next_on_spiral(here, self._belief, policy), "looking around")
+        return towards(stability, aim, here, policy.longest_step_mm, required)
+
+    def _shown(self, outlines: OutlineBelief) -> BeliefMap:
+        """Return the probability of support as a map; what no probe covered is believed as well."""
+        limit = self._settings.belief.log_odds_limit
+        p = outlines.support()
+        with np.errstate(divide="ignore"):
+            log_odds = np.clip(np.log(p) - np.log1p(-p), -limit, limit)
+        return replace(self._belief.map, log_odds=log_odds)
+
+
+NOTHING = "The model returned no usable estimate: giving up without a release."
+
+
+def pressed_at_mm(wrench: FloatArray, lever_mm: float) -> FloatArray:
+    """Return (2,) where a press acted, in ``F``: the centre of pressure without slow sensor errors.
+
+    ``wrench`` (20, 6) in N and N·m at the sensor, ``lever_mm`` above the face. The offset left by
+    the tare (several mm of centre) is the same at all ticks: the growth from the first tick, when
+    hardly anything presses, to the last ones does not contain it. NaN where the press hardly grows.
+    """
+    growth = wrench[LAST_TICKS].mean(axis=0) - wrench[FIRST_TICK]
+    return centre_of_pressure_mm(growth, lever_mm, LEAST_RISE_N)

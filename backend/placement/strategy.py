@@ -1,0 +1,79 @@
+"""A strategy: from the estimate of a probe to belief, verdict and next move, chosen by name.
+
+The run on devices, the batch of trials and the window know strategies through this door alone. A
+``Reasoner`` keeps what one trial believes; it never sees the bottom, only what was felt.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.config.method import StackSettings
+from backend.core.flow import BeliefMap, ContactPatch, PlaceAction, Stability
+from backend.placement.belief import Belief
+from backend.placement.policy import choose
+from backend.placement.stability import judge
+
+XY = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What a strategy knows of the grasped piece before the first probe.
+
+    ``com_xy_mm``: centre of mass in ``F``; ``grip_height_mm``: pivot above the face;
+    ``base_rate``: share of contact in the training data of the model, None without a model.
+    """
+
+    com_xy_mm: XY
+    grip_height_mm: float
+    base_rate: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Touched:
+    """One probe: ``observation`` (20, 258) as the model saw it, the ``patch`` that it estimated,
+    and the commanded ``offset_mm`` of the face (frame of the map).
+    """
+
+    observation: NDArray[np.float32]
+    patch: ContactPatch
+    offset_mm: XY
+
+
+@dataclass(frozen=True, slots=True)
+class Conclusion:
+    """What follows from all probes so far: the ``map`` as believed, the verdict here, the move."""
+
+    map: BeliefMap
+    stability: Stability
+    action: PlaceAction
+
+
+class Reasoner(Protocol):
+    """The memory of one trial."""
+
+    def conclude(self, touched: Touched) -> Conclusion:
+        """Take the next probe; return what follows."""
+
+
+class PaperReasoner:
+    """Ota et al.: independent cells, hull of the confident ones, step towards its middle."""
+
+    def __init__(self, held: Held, settings: StackSettings, origin_mm: XY) -> None:
+        self._held, self._settings = held, settings
+        self._belief = Belief.unknown(settings.belief, origin_mm, held.base_rate)
+
+    def conclude(self, touched: Touched) -> Conclusion:
+        """Fuse, judge, choose."""
+        settings, here = self._settings, touched.offset_mm
+        self._belief = self._belief.updated(touched.patch, here)
+        stability = judge(
+            self._belief, touched.patch, self._held.com_xy_mm, here, settings.stability
+        )
+        action = choose(stability, self._belief, here, settings.policy, settings.stability)
+        return Conclusion(self._belief.map, stability, action)

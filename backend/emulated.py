@@ -102,6 +102,7 @@ class EmulatedBench:
                 raw.frames,
                 raw.samples,
                 raw.poses,
+                self.session.interlock,
             )
             stack.callback(wired.close)
             wired.connect(threading.Event())

@@ -82,7 +82,7 @@ class _LabBench:
         """Make the drivers on the streams of ``session``."""
         raw, settings = session.raw, self._lab.settings
         self._wired = wired = WiredDevices(
-            settings, self._clock.now_s, raw.frames, raw.samples, raw.poses
+            settings, self._clock.now_s, raw.frames, raw.samples, raw.poses, session.interlock
         )
         serials = settings.serials.model_dump()
         connection = Connection(wired.devices, serials)

@@ -11,6 +11,7 @@ from backend.core.faults import RefusedError
 from backend.core.flow import Pose
 from backend.core.stream import SampleStream
 from backend.core.turning import LEVEL_RAD, refuse_turned, turn_of, turned_rad
+from backend.devices.held import ByHand, OpensByRight, Right
 from backend.devices.interlock import LEASE_S, Interlock, ReleaseEvidence, release_refusal
 from backend.devices.jog_limits import refuse_forced, refuse_outside, room_mm
 from backend.devices.protocols import (
@@ -319,7 +320,7 @@ class GuardedGripper(_Guarded):
         self._interlock.require_motion(self._now_s())
         if self._gripper.status().holding and not confirmed:
             raise RefusedError("HOLDING", "A piece is held: opening drops it. Confirm first.")
-        return self._gripper.open_to(width_mm, speed_mm_s)
+        return self._open(ByHand(confirmed=confirmed), width_mm, speed_mm_s)
 
     def release(self, evidence: ReleaseEvidence, width_mm: float, speed_mm_s: float) -> Motion:
         """Open on a held piece if every release condition holds; else ``RefusedError``."""
@@ -327,7 +328,7 @@ class GuardedGripper(_Guarded):
         refusal = release_refusal(evidence, untested=self._interlock.untested_release)
         if refusal is not None:
             raise RefusedError(*refusal)
-        return self._gripper.open_to(width_mm, speed_mm_s)
+        return self._open(evidence, width_mm, speed_mm_s)
 
     def put_back(self, evidence: JigEvidence, width_mm: float, speed_mm_s: float) -> Motion:
         """Open on a held piece that is back in its jig; else ``RefusedError``."""
@@ -335,6 +336,12 @@ class GuardedGripper(_Guarded):
         refusal = jig_refusal(evidence)
         if refusal is not None:
             raise RefusedError(*refusal)
+        return self._open(evidence, width_mm, speed_mm_s)
+
+    def _open(self, right: Right, width_mm: float, speed_mm_s: float) -> Motion:
+        """Open by ``right``; a gripper that looks for itself judges once more."""
+        if isinstance(self._gripper, OpensByRight) and self._gripper.status().holding:
+            return self._gripper.open_held(right, width_mm, speed_mm_s)
         return self._gripper.open_to(width_mm, speed_mm_s)
 
     def stop(self) -> None:

@@ -228,6 +228,11 @@ class Interlock:
             self._faults = ()
             self._lease_until_s = -math.inf
 
+    @property
+    def lease_until_s(self) -> float:
+        """Bench time until which motion is permitted; -inf while it is not."""
+        return self._lease_until_s
+
     def renew_lease(self, now_s: float) -> None:
         """Keep the permission to move for ``LEASE_S`` from now."""
         with self._lock:

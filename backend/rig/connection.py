@@ -12,16 +12,18 @@ from functools import partial
 from typing import Literal
 
 from backend.core.faults import Fault, FaultError, InputError, RefusedError, TouchdownError
+from backend.devices.homing import Homing
 from backend.devices.protocols import Device, DeviceState, Identity
 from backend.devices.reconnect import require_serial
 from backend.devices.steps import STEPS, Stepwise
-from backend.devices.wsg.driver import WsgGripper
 
 CONNECT_S = 10.0
 JOIN_S = 15.0
 HOME_S = 20.0
 LineState = Literal["closed", "waiting", "connecting", "ready", "failed"]
 ARM_NEEDS = "force_torque"
+LINK_LOST = ("WSG-LINK", "CONTROL-LOST")
+"""A gripper that is out of reach has nothing to acknowledge: it is connected again first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +179,7 @@ class Connection:
             self._faults.pop(name, None)
             self._told(name, self.devices[name].close)
 
-    def _home(self, gripper: WsgGripper) -> None:
+    def _home(self, gripper: Homing) -> None:
         def home() -> None:
             motion, waited_s = gripper.home(), 0.0
             while not motion.done and waited_s < HOME_S and not self._cancel.wait(0.02):
@@ -222,9 +224,9 @@ class Connection:
         device = self.devices.get(name)
         return device is not None and device.state is not DeviceState.READY
 
-    def _gripper(self) -> WsgGripper:
+    def _gripper(self) -> Homing:
         gripper = self.devices.get("gripper")
-        if not isinstance(gripper, WsgGripper):
+        if not isinstance(gripper, Homing):
             raise RefusedError("NO-HOMING", "This gripper is not homed from here.")
         return gripper
 
@@ -236,9 +238,9 @@ def fault_of(device: Device) -> Fault | None:
 
 
 def _needs(device: Device) -> Literal["", "home", "acknowledge"]:
-    if not isinstance(device, WsgGripper):
+    if not isinstance(device, Homing):
         return ""
-    if device.fault is not None and device.fault.code != "WSG-LINK":
+    if device.fault is not None and device.fault.code not in LINK_LOST:
         return "acknowledge"
     return "" if device.homed else "home"
 

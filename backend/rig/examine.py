@@ -1,4 +1,7 @@
-"""A look at each device of a bench, one after the other: nothing moves, the arm stays off."""
+"""A look at each device of a bench, one after the other: nothing moves, the arm stays off.
+
+No rig process is needed for that.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +13,14 @@ from dataclasses import dataclass
 from backend.config.hardware import HardwareSettings
 from backend.core.faults import FaultError
 from backend.core.flow import FINGERS
-from backend.core.stream import SampleStream, Stream
+from backend.core.stream import Stream
+from backend.devices.cameras.making import make_tactile
 from backend.devices.melfa.arm import MelfaArm
 from backend.devices.protocols import Device
-from backend.rig.wired import WiredDevices
+from backend.rig.process import make_devices
 
 LIMIT_S = 5.0
 LISTEN_S = 0.5
-KEPT = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +35,13 @@ class Finding:
 
 def examine(settings: HardwareSettings) -> Iterator[Finding]:
     """Yield a finding per device; each is closed again. Raises ``InputError`` for bad settings."""
-    frames = {finger: Stream[object](f"tactile_{finger}", 8) for finger in FINGERS}
-    samples, poses = SampleStream("force_torque", 6, KEPT), SampleStream("arm", 3, KEPT)
-    wired = WiredDevices(settings, time.monotonic, frames, samples, poses)  # type: ignore[arg-type]
-    for name, device in wired.devices.items():
+    made = make_devices(settings, time.monotonic)
+    cameras = [
+        make_tactile(finger, settings, time.monotonic, Stream(f"tactile_{finger}", 8))
+        for finger in FINGERS
+    ]
+    for device in (made.force_torque, *cameras, made.gripper, made.arm):
+        name = device.name
         try:
             detail = _asked(device)
         except FaultError as error:

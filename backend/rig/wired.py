@@ -1,4 +1,8 @@
-"""All five devices of a bench file over their wires, connected in the order that is safe."""
+"""All five devices of a bench file, connected in the order that is safe.
+
+Arm, gripper and wrist sensor live in the rig process, which starts with the first connection;
+the cameras, which have no deadlines, in this one.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +13,11 @@ from backend.config.hardware import HardwareSettings
 from backend.core.flow import FINGERS, Finger, TactileFrame
 from backend.core.stream import SampleStream, Stream
 from backend.devices.cameras.making import make_tactile
-from backend.devices.force_torque.making import make_force_torque
-from backend.devices.melfa.making import make_arm
+from backend.devices.interlock import Interlock
 from backend.devices.protocols import Device
-from backend.devices.wsg.driver import WsgGripper
-from backend.devices.wsg.making import make_gripper
+from backend.rig.link import RigLink
+from backend.rig.process import make_devices
+from backend.rig.remote import RigArm, RigForceTorque, RigGripper
 
 CONNECT_S = 10.0
 WAIT_S = 0.01
@@ -22,7 +26,8 @@ WAIT_S = 0.01
 class WiredDevices:
     """Drivers by a bench file; they put what they sense into the given streams.
 
-    ``now_s`` runs in step with the computer's own monotonic clock.
+    ``now_s`` runs in step with the computer's own monotonic clock. ``interlock`` permits motion:
+    its lease, its latch and its limits reach the rig. Raises ``InputError`` for bad settings.
     """
 
     def __init__(
@@ -32,13 +37,17 @@ class WiredDevices:
         frames: Mapping[Finger, Stream[TactileFrame]],
         samples: SampleStream,
         poses: SampleStream,
+        interlock: Interlock,
     ) -> None:
-        self.force_torque = make_force_torque(settings, now_s, samples)
-        self.gripper = make_gripper(settings, now_s)
+        make_devices(settings, now_s)  # what the settings lack is told now, not in the rig
+        self.link = RigLink(settings, now_s, samples, poses, interlock)
+        open_ones: set[str] = set()
+        self.force_torque = RigForceTorque("force_torque", self.link, now_s, open_ones)
+        self.gripper = RigGripper("gripper", self.link, now_s, open_ones)
         self.tactile = {
             finger: make_tactile(finger, settings, now_s, frames[finger]) for finger in FINGERS
         }
-        self.arm = make_arm(settings, now_s, samples, poses)
+        self.arm = RigArm("arm", self.link, now_s, open_ones)
 
     @property
     def devices(self) -> Mapping[str, Device]:
@@ -68,15 +77,15 @@ class WiredDevices:
 
         On the operator's word only: with a piece between the jaws the origin would be wrong.
         """
-        gripper = self.gripper
-        if not isinstance(gripper, WsgGripper) or gripper.homed:
+        if self.gripper.homed:
             return
-        motion, never = gripper.home(), threading.Event()
+        motion, never = self.gripper.home(), threading.Event()
         while not motion.done:
             never.wait(WAIT_S)
         motion.result()
 
     def close(self) -> None:
-        """Close all, the arm first."""
+        """Close all, the arm first, then the rig process."""
         for device in reversed(tuple(self.devices.values())):
             device.close()
+        self.link.close()

@@ -20,7 +20,7 @@ from backend.core.flow import FloatArray, Pose
 from backend.core.stream import SampleStream
 from backend.core.turning import UNTURNED, refuse_turned, turn_of, vector_of
 from backend.devices.melfa.console import Console
-from backend.devices.melfa.fields import raw_fields
+from backend.devices.melfa.fields import raw_fields, trace_of, words_of
 from backend.devices.melfa.guard import JOINT_RANGES
 from backend.devices.melfa.link_faults import NO_WRENCH, NOT_CONNECTED, link_fault
 from backend.devices.melfa.motion import ARM, STOPPED, ArmPress
@@ -38,12 +38,9 @@ from backend.devices.protocols import (
     Identity,
     Joints,
     PressCommand,
-    RobotMode,
-    SafetyMode,
     Vector,
 )
 from backend.devices.steps import Steps
-from backend.wire.melfa_r3_answers import Run
 
 INF = math.inf
 RATE_WINDOW_S = 1.0
@@ -259,23 +256,18 @@ class MelfaArm:
 
     def status(self) -> ArmStatus:
         """Return the status words."""
-        if self._state is DeviceState.CLOSED:
-            return ArmStatus(RobotMode.DISCONNECTED, SafetyMode.UNKNOWN, 0.0, 0)
         state = None if self._watch is None else self._watch.state
-        override = 0.0 if state is None else state.override / 100.0
-        error = 0 if state is None else state.error
-        if self._state is DeviceState.CONNECTING:
-            return ArmStatus(RobotMode.CONNECTING, SafetyMode.UNKNOWN, override, error)
-        safety = SafetyMode.NORMAL
-        if self._state is DeviceState.FAULT:
-            stopped = self.fault is not None and self.fault.code == "HW-STOP"
-            safety = SafetyMode.HW_STOP if stopped else SafetyMode.FAULT
-        mode = RobotMode.READY
-        if state is not None and Run.SERVO_ON not in state.run:
-            mode = RobotMode.SERVO_OFF
-        elif self._orders.under_way(self._core):
-            mode = RobotMode.MOVING
-        return ArmStatus(mode, safety, override, error)
+        return words_of(self._state, state, self.fault, moving=self._orders.under_way(self._core))
+
+    @property
+    def press_n(self) -> float:
+        """Felt press force by the zero of the contact law; NaN without contact."""
+        return self._orders.press_n()
+
+    def trace(self) -> tuple[float, ...]:
+        """Return the values of ``TRACE`` as they are now."""
+        with self._lock:
+            return trace_of(self._core, self._orders)
 
     def pose(self, max_age_s: float) -> Pose:
         """Return the measured pose; raises ``StaleSampleError`` if it is older."""

@@ -44,6 +44,11 @@ class Orders:
         program = core.program
         return program is not None and not program.motion.done
 
+    def press_n(self) -> float:
+        """Return the felt press force by the zero of the contact law; NaN without contact."""
+        contact = self._contact()
+        return math.nan if contact is None else float(contact.felt_n[2])
+
     def travel(
         self,
         core: StreamCore,

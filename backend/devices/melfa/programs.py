@@ -180,13 +180,14 @@ class Unload:
 
     def next_mm(self, felt: Felt) -> FloatArray:
         """Return the next command; the reference stands while nothing is felt."""
-        if self.motion.done:
-            return felt.command_mm
         comply = self._compliance
         if self._start_mm is None:
             comply.rebase(felt.command_mm)
             self._start_mm = float(comply.reference_mm[2])
+        # Also once it has ended: whether the piece may be let go is asked of this force.
         comply.feel(felt.now_s, felt.t_s, felt.force_n)
+        if self.motion.done:
+            return felt.command_mm
         press_n = float(comply.felt_n[2])
         if press_n <= self._force_n:
             self.motion.end()

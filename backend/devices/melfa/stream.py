@@ -87,9 +87,13 @@ class StreamCore:
         self.replies, self.holds = Replies(), 0
         self.timeouts = 0
         """Cycles without a packet, as the controller counts them."""
-        self._counter = self._missed = self._left = 0
+        self._counter = self._left = 0
+        self.missed = 0
+        """Cycles in a row without an accepted reply."""
         self._begun_s = self._heard_s = now_s
-        self._echo_mm = self._measured_mm = np.zeros(3)
+        self._echo_mm = np.zeros(3)
+        self.measured_mm = np.zeros(3)
+        """(3,) place of ``G`` as last measured."""
         self.command_mm = np.zeros(3)
         """(3,) commanded place of ``G`` in the bench."""
         self.turn: FloatArray = UNTURNED
@@ -150,17 +154,17 @@ class StreamCore:
             return self._open(now_s, echo)
         silent_s = now_s - self._heard_s
         if echo is None:
-            self._missed += 1
+            self.missed += 1
         else:
             # A reply that comes a cycle after the last one has not been silent at all.
             silent_s -= CYCLE_S
-            self._missed = 0
+            self.missed = 0
             self._hear(now_s, echo)
-        level = rung(self._missed, silent_s, CYCLE_S)
+        level = rung(self.missed, silent_s, CYCLE_S)
         if echo is not None and level < Rung.HOLD:
             level = Rung.GO
         if level is Rung.FAULT:
-            cycles = max(self._missed, int(silent_s / CYCLE_S))
+            cycles = max(self.missed, int(silent_s / CYCLE_S))
             return self._fail(lost_fault(cycles))
         self._descend_ladder(level)
         if level is Rung.GO and self.phase is Phase.OPEN:
@@ -170,7 +174,7 @@ class StreamCore:
         elif level is not Rung.GO:
             self._rest()
         self._settle()
-        return Outbox(self._packet(), None if echo is None else self._measured_mm)
+        return Outbox(self._packet(), None if echo is None else self.measured_mm)
 
     def _quiet(self) -> Outbox:
         if self.phase is Phase.ENDING and self._left:
@@ -195,13 +199,13 @@ class StreamCore:
         self.command_mm = self._placing.pivot_mm(self.sent_rad)
         self._hear(now_s, echo)
         self.phase, self._left = Phase.HOLDING, HELD_CYCLES
-        return Outbox(self._packet(), self._measured_mm)
+        return Outbox(self._packet(), self.measured_mm)
 
     def _hear(self, now_s: float, echo: Echo) -> None:
         self._heard_s, self.timeouts = now_s, echo.timeouts
         self._echo_rad, self.measured_rad = echo.command_rad, echo.feedback_rad
         self._echo_mm = self._placing.pivot_mm(echo.command_rad)
-        self._measured_mm = self._placing.pivot_mm(echo.feedback_rad)
+        self.measured_mm = self._placing.pivot_mm(echo.feedback_rad)
 
     def _descend_ladder(self, level: Rung) -> None:
         if level is not Rung.HOLD:
@@ -227,7 +231,7 @@ class StreamCore:
             self._rest()
             return None
         felt = Felt(
-            now_s, CYCLE_S, self.command_mm, self._measured_mm, inbox.t_s, inbox.force_n,
+            now_s, CYCLE_S, self.command_mm, self.measured_mm, inbox.t_s, inbox.force_n,
             self.turn, self.sent_rad, self.measured_rad,
         )  # fmt: skip
         try:

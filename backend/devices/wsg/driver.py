@@ -56,7 +56,8 @@ class WsgGripper:
         self._identity: Identity | None = None
         self._received = 0
         self._arrivals: deque[float] = deque(maxlen=512)
-        self._lost_holding = False
+        self.lost_holding = False
+        """A piece was held when the connection was lost: its fast stop waits for the operator."""
 
     @property
     def state(self) -> DeviceState:
@@ -175,7 +176,7 @@ class WsgGripper:
         """Take a fast stop or fault as seen, on the operator's word."""
         self._require_link()
         with self._lock:
-            self._lost_holding = False
+            self.lost_holding = False
             requests = self._core.acknowledge()
         self._send(requests)
 
@@ -200,7 +201,7 @@ class WsgGripper:
 
     def _greet(self, cancel: threading.Event) -> None:
         core = self._core
-        if not self._lost_holding:
+        if not self.lost_holding:
             self._exchange(wsg_binary.acknowledge(), cancel)
         state = self._exchange(Request(Command.SYSTEM_STATE, (0, 0)), cancel)
         core.flags = SystemFlag(int(_number(state)))
@@ -289,7 +290,7 @@ class WsgGripper:
         """Take note that the wire is gone: whether a piece is held is not known any more."""
         self._stop.set()
         with self._lock:
-            self._lost_holding |= self._core.status.holding
+            self.lost_holding |= self._core.status.holding
             self._core.lose(link_fault(f"The connection to the gripper is lost: {error}."))
             self._state = DeviceState.FAULT
 
@@ -300,7 +301,7 @@ class WsgGripper:
         operator acknowledges it.
         """
         if self._core.status.holding and not self._settings.keeps_grip_after_07:
-            self._lost_holding = True
+            self.lost_holding = True
             return
         try:
             self._exchange(Request(Command.DISCONNECT), threading.Event())

@@ -9,6 +9,7 @@ from backend.config.hardware import HardwareSettings
 from backend.core.faults import FaultError, InputError
 from backend.core.flow import FINGERS
 from backend.core.stream import SampleStream, Stream
+from backend.devices.interlock import Interlock
 from backend.devices.protocols import DeviceState
 from backend.emulators.dynpick import EmulatedDynpick
 from backend.emulators.front import TcpFront
@@ -20,7 +21,7 @@ def wired(**tables):
     frames = {finger: Stream(finger, 8) for finger in FINGERS}
     samples, poses = SampleStream("force_torque", 6, 4096), SampleStream("arm", 3, 64)
     settings = HardwareSettings.model_validate(tables)
-    return WiredDevices(settings, time.monotonic, frames, samples, poses), samples
+    return WiredDevices(settings, time.monotonic, frames, samples, poses, Interlock()), samples
 
 
 def test_sensors_come_first_and_the_arm_that_moves_on_them_last():

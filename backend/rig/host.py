@@ -1,0 +1,357 @@
+"""One rig: arm, gripper and wrist sensor with the core that watches over them.
+
+``round`` is called every 4 ms by whoever owns the time: the rig process, or a test with a clock of
+its own. ``take`` hears messages, on another thread; orders that may last wait on a thread for each
+device, STOP never waits.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from backend.core.faults import Fault, FaultError, TouchdownError
+from backend.core.stream import SampleStream
+from backend.devices.held import Right
+from backend.devices.homing import Homing
+from backend.devices.interlock import Limits
+from backend.devices.protocols import (
+    Arm,
+    Device,
+    DeviceState,
+    ForceTorqueSensor,
+    Gripper,
+    Motion,
+)
+from backend.devices.traced import Traced
+from backend.rig.core import Inbox, Outbox, RigCore
+from backend.rig.memory import RIG_BEAT, SharedMemory
+from backend.rig.messages import Message, error_row, failed, fault_row
+from backend.rig.orders import JAWS, MOVES, Orders
+from backend.rig.release import STILL_S, Measured, refuse_opening
+from backend.rig.rows import Row, arm_row, gripper_row, sensor_row, slow_row
+
+STATE_ROUNDS, SLOW_ROUNDS = 5, 50
+"""The state is shown every 20 ms, what a person looks at every 200 ms."""
+Found = Motion | list[float] | None
+AT_ONCE = frozenset({"arm.halt", "arm.place_of"})
+"""Carried out where they are heard: they wait for nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Devices:
+    """The three with deadlines, and the streams that they fill."""
+
+    arm: Arm
+    gripper: Gripper
+    force_torque: ForceTorqueSensor
+    samples: SampleStream
+    poses: SampleStream
+
+    def named(self) -> dict[str, Device]:
+        """Return them by name."""
+        return {
+            "force_torque": self.force_torque,
+            "gripper": self.gripper,
+            "arm": self.arm,
+        }
+
+
+@dataclass
+class _Motions:
+    """Motions under way by the number of the order that began them."""
+
+    under_way: dict[int, Motion] = field(default_factory=dict)
+    of_arm: set[int] = field(default_factory=set)
+    felt: set[int] = field(default_factory=set)
+
+
+class RigHost:
+    """``say`` sends a message and never waits."""
+
+    def __init__(
+        self,
+        devices: Devices,
+        limits: Limits,
+        now_s: Callable[[], float],
+        memory: SharedMemory,
+        say: Callable[[Message], bool],
+    ) -> None:
+        self.devices, self._now_s, self._memory, self._say = devices, now_s, memory, say
+        self._core = RigCore(now_s(), limits)
+        self._lock = threading.RLock()
+        self._showing, self._noting = threading.Lock(), threading.Lock()
+        self._orders = Orders(devices.arm, devices.gripper, self._may_open)
+        self._motions = _Motions()
+        self._cancel = threading.Event()
+        self._gone = False
+        self._rounds = 0
+        self._slow: dict[str, Row] = {}
+        self._cursors = [devices.samples.count, devices.poses.count]
+        self._wrench_s = -np.inf
+        self._gripped_mm = np.nan
+        self._waiting: dict[str, queue.SimpleQueue[Message | None]] = {}
+        for name in devices.named():
+            self._waiting[name] = queue.SimpleQueue()
+            threading.Thread(
+                target=self._work, args=(self._waiting[name],), name=f"rig {name}", daemon=True
+            ).start()
+
+    # -- time -------------------------------------------------------------------------------------
+
+    def round(self) -> bool:
+        """Watch, act, tell how things are; return whether the process is to end."""
+        now_s = self._now_s()
+        self._hand_on(now_s)
+        with self._lock:
+            try:
+                out = self._core.step(now_s, self._inbox())
+            except Exception as error:  # noqa: BLE001 - whatever it is, the arm must not go on
+                fault = self._core.latch(failed(f"{type(error).__name__}: {error}"))
+                out = Outbox(stop=True, fault=fault, why=fault)
+            self._act(now_s, out)
+        self._tell_motions()
+        if self._rounds % STATE_ROUNDS == 0:
+            self._show(now_s, slow=self._rounds % SLOW_ROUNDS == 0)
+        self._rounds += 1
+        self._memory.beat(RIG_BEAT)
+        return out.leave
+
+    def _inbox(self) -> Inbox:
+        memory = self._memory
+        moving = any(not self._motions.under_way[n].done for n in self._motions.of_arm)
+        return Inbox(
+            memory.backend_beats,
+            memory.stops,
+            memory.lease_until_s,
+            moving,
+            self._gone,
+            self._wrench_s,
+        )
+
+    def _act(self, now_s: float, out: Outbox) -> None:
+        if out.stop:
+            self._stop(now_s, "stop")
+        elif out.hold:
+            self._note(now_s, f"hold: {out.why.code if out.why else 'silent'}")
+            self.devices.arm.halt()
+        if out.why is not None:
+            self._blame(out.why)
+        if out.fault is not None:
+            self._tell_fault(now_s, out.fault)
+
+    def _stop(self, now_s: float, why: str) -> None:
+        self._note(now_s, why)
+        self.devices.arm.stop()
+        self.devices.gripper.stop()
+
+    def _tell_fault(self, now_s: float, fault: Fault) -> None:
+        self._note(now_s, f"fault {fault.code}: {fault.what}")
+        self._say({"kind": "fault", "number": self._core.faults, "fault": fault_row(fault)})
+
+    def _blame(self, why: Fault) -> None:
+        """Report the motions of the arm that this round ended with its reason."""
+        for number in [n for n in self._motions.of_arm if self._motions.under_way[n].done]:
+            self._end(number, why)
+
+    # -- what the backend reads -------------------------------------------------------------------
+
+    def _hand_on(self, now_s: float) -> None:
+        """Copy what the sensors delivered into the shared rings, and one line of the recorder."""
+        wrench = self.devices.samples.since(self._cursors[0])
+        poses = self.devices.poses.since(self._cursors[1])
+        self._cursors = [wrench.cursor, poses.cursor]
+        for ring, came in ((self._memory.wrench, wrench), (self._memory.poses, poses)):
+            if len(came.t_s):
+                ring.put(came.t_s, came.values)
+        finite = np.isfinite(wrench.values).all(axis=1)
+        if finite.any():
+            self._wrench_s = float(wrench.t_s[finite][-1])
+        arm = self.devices.arm
+        if isinstance(arm, Traced) and arm.state is not DeviceState.CLOSED:
+            self._memory.rounds.put(np.array([now_s]), np.array([arm.trace()]))
+
+    def _show(self, now_s: float, *, slow: bool) -> None:
+        with self._showing:
+            if slow or not self._slow:
+                self._slow = {n: slow_row(d, now_s) for n, d in self.devices.named().items()}
+            rows = {
+                "arm": arm_row(self.devices.arm),
+                "gripper": gripper_row(self.devices.gripper),
+                "force_torque": sensor_row(self.devices.force_torque),
+            }
+            self._remember_grip()
+            self._memory.show({name: {**self._slow[name], **row} for name, row in rows.items()})
+
+    def _remember_grip(self) -> None:
+        """Keep the width at which the piece was gripped, once the jaws stand."""
+        status = self.devices.gripper.status()
+        if not status.holding:
+            self._gripped_mm = np.nan
+        elif not np.isfinite(self._gripped_mm):
+            self._gripped_mm = status.width_mm
+
+    def _note(self, now_s: float, text: str) -> None:
+        with self._noting:
+            self._memory.note(now_s, text)
+
+    # -- motions ----------------------------------------------------------------------------------
+
+    def _tell_motions(self) -> None:
+        with self._lock:
+            for number, motion in list(self._motions.under_way.items()):
+                if number not in self._motions.felt and getattr(motion, "onset_s", None):
+                    self._motions.felt.add(number)
+                    self._say({"kind": "felt", "motion": number, **_contact(motion)})
+                if motion.done:
+                    self._end(number, _fault_of(motion))
+
+    def _end(self, number: int, fault: Fault | None) -> None:
+        motion = self._motions.under_way.pop(number)
+        self._motions.of_arm.discard(number)
+        self._motions.felt.discard(number)
+        self._note(self._now_s(), f"motion {number} ended{f': {fault.code}' if fault else ''}")
+        row = fault_row(fault)
+        self._say({"kind": "ended", "motion": number, "fault": row, **_contact(motion)})
+
+    # -- messages ---------------------------------------------------------------------------------
+
+    def take(self, message: Message) -> None:
+        """Hear a message of the backend."""
+        kind = message["kind"]
+        if kind == "order":
+            self._take_order(message)
+        elif kind == "stop":
+            with self._lock:
+                if self._core.stop(message["stops"]):
+                    self._stop(self._now_s(), "stop")
+        elif kind == "stop gripper":
+            self.devices.gripper.stop()
+        elif kind == "cancel":
+            self._cancel.set()
+        elif kind == "reset":
+            with self._lock:
+                self._core.reset(message["stops"], message["faults"])
+        elif kind == "limits":
+            with self._lock:
+                self._core.limits = Limits(**message["limits"])
+
+    def leave(self) -> None:
+        """Take note that the backend is gone: the next round ends all motion and the process."""
+        self._gone = True
+        self._cancel.set()
+        for waiting in self._waiting.values():
+            waiting.put(None)
+
+    def _take_order(self, message: Message) -> None:
+        name = message["order"]
+        if name in AT_ONCE:
+            self._carry_out(message)
+            return
+        waiting = self._waiting.get(name.split(".")[0])
+        if waiting is None:
+            self._reply(message, error=ValueError(f"there is no order {name!r}"))
+        else:
+            waiting.put(message)
+
+    def _work(self, waiting: queue.SimpleQueue[Message | None]) -> None:
+        while (message := waiting.get()) is not None:
+            self._carry_out(message)
+
+    def _carry_out(self, message: Message) -> None:
+        try:
+            found = self._obey(message)
+        except Exception as error:  # noqa: BLE001 - an order must not end the thread of its device
+            self._reply(message, error=error)
+        else:
+            self._reply(message, found)
+
+    def _obey(self, message: Message) -> Found:
+        name, given = message["order"], message["args"]
+        self._note(self._now_s(), f"order {message['id']} {name} {given}")
+        device, _, verb = name.partition(".")
+        if verb == "connect":
+            self._cancel.clear()
+            if device == "gripper" and isinstance(self.devices.gripper, Homing):
+                self.devices.gripper.lost_holding |= given["lost_holding"]
+            self.devices.named()[device].connect(given["timeout_s"], self._cancel)
+            return None
+        if verb == "close":
+            self.devices.named()[device].close()
+            return None
+        if name in MOVES | JAWS:
+            with self._lock:
+                self._core.refuse(self._now_s(), message["lease_until_s"])
+                if name in MOVES:
+                    self._core.refuse_unfelt(self._now_s())
+        return self._orders.give(name, given, self._core.limits)
+
+    def _reply(self, message: Message, found: Found = None, error: Exception | None = None) -> None:
+        number = message["id"]
+        answer: Message = {"kind": "reply", "id": number, "motion": None}
+        # In one piece: the end of a motion is never told before its beginning.
+        with self._lock:
+            if error is not None:
+                answer["error"] = error_row(error)
+                self._note(self._now_s(), f"order {number} refused: {error}")
+            elif found is None or isinstance(found, list):
+                answer["value"] = found
+            else:
+                answer["motion"] = self._follow(number, found, message["order"])
+                answer["sent"] = dict(found.sent)
+            # Whoever reads the answer finds the state that goes with it.
+            self._show(self._now_s(), slow=message["order"] not in AT_ONCE | MOVES)
+            self._say(answer)
+
+    def _follow(self, number: int, motion: Motion, order: str) -> int:
+        """Watch a motion; one that goes on keeps its number."""
+        for known, present in self._motions.under_way.items():
+            if present is motion:
+                return known
+        self._motions.under_way[number] = motion
+        if order in MOVES:
+            self._motions.of_arm.add(number)
+        return number
+
+    # -- opening on a held piece ------------------------------------------------------------------
+
+    def _may_open(self, right: Right) -> None:
+        refuse_opening(right, self.measured())
+
+    def measured(self) -> Measured:
+        """Return what the rig itself measures now."""
+        now_s, devices = self._now_s(), self.devices
+        poses = devices.poses.window(now_s - STILL_S, now_s).values
+        samples = devices.samples.window(now_s - 1.0, now_s)
+        finite = np.isfinite(samples.values).all(axis=1)
+        status = devices.gripper.status()
+        arm = devices.arm
+        return Measured(
+            press_n=arm.press_n if isinstance(arm, Traced) else np.nan,
+            wrench_age_s=now_s - float(samples.t_s[finite][-1]) if finite.any() else np.nan,
+            moved_mm=float(np.ptp(poses, axis=0).max()) if len(poses) else np.nan,
+            width_change_mm=status.width_mm - self._gripped_mm,
+            holding=status.holding,
+            devices_ready=all(d.state is DeviceState.READY for d in devices.named().values()),
+        )
+
+
+def _contact(motion: Motion) -> Message:
+    return {
+        "detected_s": getattr(motion, "detected_s", None),
+        "onset_s": getattr(motion, "onset_s", None),
+    }
+
+
+def _fault_of(motion: Motion) -> Fault | None:
+    try:
+        motion.result()
+    except FaultError as error:
+        return error.fault
+    except TouchdownError as error:
+        return failed(str(error))
+    return None

@@ -1,0 +1,371 @@
+"""The backend's end of the rig: starts the process, gives it orders, notices when it is gone.
+
+One thread beats, hands over the lease and copies the shared rings into the session's streams, every
+5 ms. A rig that is silent for 250 ms, or whose pipe has closed, is lost: every motion ends with
+CONTROL LOST, and it starts again only with a new connection.
+"""
+
+from __future__ import annotations
+
+import itertools
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from backend.config.hardware import HardwareSettings
+from backend.core.faults import Fault, FaultError
+from backend.core.stream import SampleStream
+from backend.devices.interlock import Interlock, Limits
+from backend.devices.motion import CommandedMotion
+from backend.rig.channel import Channel
+from backend.rig.memory import BACKEND_BEAT, STOPS, SharedMemory, drop, make
+from backend.rig.messages import Message, read_error, read_fault
+
+BEAT_S = 0.005
+RIG_SILENT_S = 0.25
+START_S = 20.0
+ORDER_S = 60.0
+"""Longer than any order takes; a rig that dies ends them all at once."""
+END_S = 6.0
+
+
+class RigMotion(CommandedMotion):
+    """A motion in the rig; of a press also its contact, on the bench clock."""
+
+    detected_s: float | None = None
+    onset_s: float | None = None
+
+
+class _Answer:
+    """What somebody waits for."""
+
+    def __init__(self) -> None:
+        self.came = threading.Event()
+        self.message: Message = {}
+        self.motion: RigMotion | None = None
+
+
+class RigLink:
+    """``samples`` and ``poses`` take what the rig measures; orders raise what the rig answers."""
+
+    def __init__(
+        self,
+        settings: HardwareSettings,
+        now_s: Callable[[], float],
+        samples: SampleStream,
+        poses: SampleStream,
+        interlock: Interlock,
+    ) -> None:
+        self._settings, self._now_s, self._interlock = settings, now_s, interlock
+        self.samples, self.poses = samples, poses
+        self._lock, self._counting = threading.RLock(), threading.Lock()
+        self._copying, self._cursors = threading.Lock(), [0, 0]
+        self._child: subprocess.Popen[bytes] | None = None
+        self._channel: Channel | None = None
+        self._memory: SharedMemory | None = None
+        self._thread: threading.Thread | None = None
+        self._ending = threading.Event()
+        self._numbers = itertools.count(1)
+        self._answers: dict[int, _Answer] = {}
+        self._motions: dict[int, RigMotion] = {}
+        self._stops = self._stops_reset = self._faults = self._faults_reset = 0
+        self._limits: Limits | None = None
+        self._rows: Mapping[str, Any] = {}
+        self._greeting = _Answer()
+        self.lost: Fault | None = None
+        """Why the rig is gone without having been asked to; None while it runs or is not needed."""
+
+    # -- life -------------------------------------------------------------------------------------
+
+    @property
+    def running(self) -> bool:
+        """Whether there is a rig process that answers."""
+        return self._child is not None and self.lost is None
+
+    @property
+    def memory(self) -> SharedMemory | None:
+        """What the rig has shared; stays readable after its death until the next start."""
+        return self._memory
+
+    @property
+    def hello(self) -> Message:
+        """What the rig said of itself at its start; empty before."""
+        return self._greeting.message
+
+    def start(self) -> None:
+        """Start the process if there is none; raises ``FaultError``, or what the rig refuses."""
+        with self._lock:
+            if self.running:
+                return
+            self.close()
+            memory, path = make()
+            try:
+                self._begin(memory, path)
+            except BaseException:
+                self.close()
+                raise
+            finally:
+                drop(path)
+
+    def _begin(self, memory: SharedMemory, path: Path) -> None:
+        self._ending, self._greeting = threading.Event(), _Answer()
+        self._stops = self._stops_reset = self._faults = self._faults_reset = 0
+        self._cursors = [0, 0]
+        self._memory, self._limits, self._rows = memory, self._interlock.limits, {}
+        memory.beat(BACKEND_BEAT)
+        self._child = child = subprocess.Popen(
+            [sys.executable, "-m", "backend.rig.process"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        assert child.stdin is not None
+        assert child.stdout is not None
+        # What an earlier rig still says on its way out is no word of this one.
+        ended = self._ending
+        self._channel = Channel(
+            child.stdout, child.stdin, self._take, lambda: self._lose(ended, GONE)
+        )
+        self._channel.start()
+        self._channel.say(
+            {
+                "kind": "begin",
+                "settings": self._settings.model_dump(mode="json"),
+                "limits": asdict(self._limits),
+                "begun_s": time.monotonic() - self._now_s(),
+                "memory": str(path),
+            }
+        )
+        if not self._greeting.came.wait(START_S):
+            raise FaultError(NO_START)
+        if self.lost is not None:
+            raise FaultError(self.lost)
+        if self.hello["kind"] == "refused":
+            raise read_error(self.hello["error"])
+        self._thread = threading.Thread(
+            target=self._keep_time, args=(memory, ended), name="rig link", daemon=True
+        )
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the process: it stops what moves, nothing is let go. Closing twice is allowed."""
+        with self._lock:
+            self._ending.set()
+            if self._thread is not None:
+                self._thread.join()
+                self._thread = None
+            if self._channel is not None:
+                self._channel.close()
+            child, self._child = self._child, None
+            if child is not None:
+                try:
+                    child.wait(END_S)
+                except subprocess.TimeoutExpired:
+                    child.kill()
+                    child.wait()
+            if self._channel is not None:
+                self._channel.join(END_S)
+                self._channel = None
+            if child is not None and child.stdout is not None:
+                child.stdout.close()
+            self._give_up(GONE)
+            self._rows, self.lost = {}, None
+
+    # -- orders -----------------------------------------------------------------------------------
+
+    def order(self, name: str, **arguments: Any) -> Message:
+        """Give an order and return the answer; raises what the rig refuses or fails with."""
+        return self._ask(name, arguments).message
+
+    def move(self, name: str, **arguments: Any) -> RigMotion:
+        """Give an order that begins a motion, or goes on with one, and return it."""
+        answer = self._ask(name, arguments)
+        assert answer.motion is not None
+        return answer.motion
+
+    def stop(self) -> None:
+        """STOP: a word that the rig reads in every round, and a message; waits for nothing."""
+        memory, channel = self._memory, self._channel
+        if memory is None or channel is None or self._child is None:
+            return
+        with self._counting:
+            self._stops += 1
+            memory.beat(STOPS)
+            channel.say({"kind": "stop", "stops": self._stops})
+
+    def stop_gripper(self) -> None:
+        """Stop the jaws where they are; waits for nothing."""
+        if self._channel is not None:
+            self._channel.say({"kind": "stop gripper"})
+
+    def cancel(self) -> None:
+        """End the connecting that goes on."""
+        if self._channel is not None:
+            self._channel.say({"kind": "cancel"})
+
+    def settle(self) -> None:
+        """Forget the positions so far: they belong to no connection."""
+        memory = self._memory
+        with self._copying:
+            if memory is not None:
+                self._cursors[1] = memory.poses.count
+            self.poses.clear()
+
+    def row(self, device: str) -> Mapping[str, Any]:
+        """Return how a device stands, empty while there is no rig."""
+        memory = self._memory
+        if memory is not None and self._child is not None:
+            self._rows = memory.seen() or self._rows
+        found = self._rows.get(device, {})
+        assert isinstance(found, Mapping)
+        return found
+
+    def _ask(self, name: str, arguments: dict[str, Any]) -> _Answer:
+        channel, lost = self._channel, self.lost
+        if lost is not None:
+            raise FaultError(lost)
+        if channel is None or self._child is None:
+            raise FaultError(NOT_STARTED)
+        number, answer = next(self._numbers), _Answer()
+        self._answers[number] = answer
+        self._tell_reset(channel)
+        order = {"kind": "order", "id": number, "order": name, "args": arguments}
+        taken = channel.say({**order, "lease_until_s": self._interlock.lease_until_s})
+        if not taken or not self.running:
+            # Lost just now: nobody may be left to end this order.
+            self._answers.pop(number, None)
+            raise FaultError(GONE)
+        if not answer.came.wait(ORDER_S):
+            raise FaultError(NO_ANSWER)
+        if "error" in answer.message:
+            raise read_error(answer.message["error"])
+        return answer
+
+    # -- what the rig says, on its listening thread -----------------------------------------------
+
+    def _take(self, message: Message) -> None:
+        match message["kind"]:
+            case "hello" | "refused":
+                self._greeting.message = message
+                self._greeting.came.set()
+            case "reply":
+                self._take_reply(message)
+            case "felt" | "ended":
+                self._take_motion(message)
+            case "fault":
+                fault = read_fault(message["fault"])
+                assert fault is not None
+                self._interlock.raise_fault(fault)
+                # Only now: a reset must not come before the operator could know of it.
+                self._faults = message["number"]
+
+    def _take_reply(self, message: Message) -> None:
+        answer = self._answers.pop(message["id"], None)
+        if answer is None:
+            return
+        answer.message = message
+        number = message["motion"]
+        if number is not None:
+            answer.motion = self._motions.setdefault(number, RigMotion(message["sent"]))
+        answer.came.set()
+
+    def _take_motion(self, message: Message) -> None:
+        motion = self._motions.get(message["motion"])
+        if motion is None:
+            return
+        motion.detected_s, motion.onset_s = message["detected_s"], message["onset_s"]
+        if message["kind"] == "ended":
+            del self._motions[message["motion"]]
+            motion.end(read_fault(message["fault"]))
+
+    # -- the beating thread -----------------------------------------------------------------------
+
+    def _keep_time(self, memory: SharedMemory, ended: threading.Event) -> None:
+        beats, beat_s = memory.rig_beats, time.monotonic()
+        while not ended.wait(BEAT_S):
+            memory.permit(self._interlock.lease_until_s)
+            memory.beat(BACKEND_BEAT)
+            self._copy(memory)
+            channel = self._channel
+            if channel is not None:
+                self._tell_reset(channel)
+                self._tell_limits(channel)
+            now_s = time.monotonic()
+            if memory.rig_beats != beats:
+                beats, beat_s = memory.rig_beats, now_s
+            elif now_s - beat_s > RIG_SILENT_S:
+                self._lose(ended, SILENT)
+                return
+
+    def _copy(self, memory: SharedMemory) -> None:
+        """Put what the rig has measured since into the session's streams."""
+        pairs = ((memory.wrench, self.samples), (memory.poses, self.poses))
+        with self._copying:
+            for k, (ring, stream) in enumerate(pairs):
+                t_s, values, self._cursors[k] = ring.since(self._cursors[k])
+                if len(t_s):
+                    stream.put(t_s, values)
+
+    def _tell_reset(self, channel: Channel) -> None:
+        """Clear the latch of the rig once the operator has cleared that of the bench."""
+        with self._counting:
+            behind = (self._stops_reset, self._faults_reset) != (self._stops, self._faults)
+            if behind and not self._interlock.latched:
+                self._stops_reset, self._faults_reset = self._stops, self._faults
+                channel.say({"kind": "reset", "stops": self._stops, "faults": self._faults})
+
+    def _tell_limits(self, channel: Channel) -> None:
+        limits = self._interlock.limits
+        if limits is not self._limits:
+            self._limits = limits
+            channel.say({"kind": "limits", "limits": asdict(limits)})
+
+    # -- loss -------------------------------------------------------------------------------------
+
+    def _lose(self, ended: threading.Event, fault: Fault) -> None:
+        """Take note that the rig is gone, unless it was asked to go."""
+        if ended.is_set() or ended is not self._ending or self.lost is not None:
+            return
+        self.lost = fault
+        self._give_up(fault)
+        if self._greeting.message:
+            self._interlock.raise_fault(fault)
+        self._greeting.came.set()
+
+    def _give_up(self, fault: Fault) -> None:
+        """End every motion and every order with ``fault``."""
+        for motion in list(self._motions.values()):
+            motion.end(fault)
+        self._motions.clear()
+        error = {"type": "fault", "fault": asdict(fault)}
+        for answer in list(self._answers.values()):
+            answer.message = {"kind": "reply", "error": error, "motion": None}
+            answer.came.set()
+        self._answers.clear()
+
+
+def _lost(what: str) -> Fault:
+    return Fault(
+        "CONTROL-LOST",
+        what,
+        "The controllers stop the devices by their own rules; the gripper was not opened.",
+        "Look at the bench, press Reset, then connect arm, gripper and wrist sensor again.",
+        "arm",
+    )
+
+
+SILENT = _lost("The process that drives arm, gripper and wrist sensor is silent.")
+GONE = _lost("The process that drives arm, gripper and wrist sensor has ended.")
+NO_ANSWER = _lost("The process that drives arm, gripper and wrist sensor gives no answer.")
+NO_START = _lost("The process that drives arm, gripper and wrist sensor does not start.")
+NOT_STARTED = Fault(
+    "NOT-CONNECTED",
+    "Arm, gripper and wrist sensor are not connected.",
+    "Nothing was moved.",
+    "Connect them first.",
+    "arm",
+)

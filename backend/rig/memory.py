@@ -1,0 +1,222 @@
+"""Memory that backend and rig process share: words that decide, rings of samples, one state.
+
+Neither side ever waits for the other. A record carries its number in front and behind: a reader
+takes it only if both are the expected one, so that nothing torn is ever read. One writer each.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import mmap
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.core.flow import FloatArray
+from backend.devices.traced import TRACE
+
+PREFIX = "touchdown-rig-"
+FILE = "memory"
+WORDS = 16
+BACKEND_BEAT, RIG_BEAT, STOPS, LEASE, STATE, WRENCH, POSES, ROUNDS, NOTES = range(9)
+"""Words by their use; LEASE is seconds of the bench clock, all others are counts."""
+STATE_BYTES = 16_384
+NOTE_BYTES: Final = 480
+NOTES_KEPT = 1024
+CHANNELS = {WRENCH: 6, POSES: 3, ROUNDS: len(TRACE)}
+CAPACITY = {WRENCH: 8192, POSES: 2048, ROUNDS: 2048}
+"""More than 5 s of 1 kHz samples, 3.5 ms cycles and 4 ms rounds."""
+
+
+class Ring:
+    """Numeric records: number, time, values, number. ``count`` is the shared word of the writer."""
+
+    def __init__(self, cells: FloatArray, words: NDArray[np.int64], word: int) -> None:
+        self._cells, self._numbers = cells, cells.view(np.int64)
+        self._words, self._word = words, word
+        self.capacity = len(cells)
+
+    @property
+    def count(self) -> int:
+        """Number of records ever put."""
+        return int(self._words[self._word])
+
+    def put(self, t_s: FloatArray, values: FloatArray) -> None:
+        """Append stamps (n,) and values (n, channels); of more than fits, the newest."""
+        t_s, values = t_s[-self.capacity :], values[-self.capacity :]
+        first = self.count
+        numbers = np.arange(first, first + len(t_s))
+        rows = numbers % self.capacity
+        # Both numbers first: whoever is reading this record sees that it has changed.
+        self._numbers[rows, -1] = self._numbers[rows, 0] = -1
+        self._cells[rows, 1], self._cells[rows, 2:-1] = t_s, values
+        self._numbers[rows, -1] = numbers
+        self._numbers[rows, 0] = numbers
+        self._words[self._word] = first + len(t_s)
+
+    def since(self, cursor: int) -> tuple[FloatArray, FloatArray, int]:
+        """Return stamps (n,), values (n, channels) after ``cursor`` that are whole, new cursor."""
+        count = self.count
+        numbers = np.arange(max(cursor, count - self.capacity), count)
+        rows = numbers % self.capacity
+        before = self._numbers[rows, 0].copy()
+        cells = self._cells[rows].copy()
+        behind = self._numbers[rows, -1].copy()
+        whole = (before == numbers) & (behind == numbers)
+        return cells[whole, 1], cells[whole, 2:-1], count
+
+
+class SharedMemory:
+    """Made by the backend with ``make``, attached by the rig with ``attach``."""
+
+    def __init__(self, pages: mmap.mmap) -> None:
+        self._pages = pages
+        self._words = np.frombuffer(pages, np.int64, WORDS)
+        self._lease = self._words[LEASE : LEASE + 1].view(np.float64)
+        offset = 8 * WORDS
+        self._state = np.frombuffer(pages, np.uint8, STATE_BYTES, offset)
+        offset += STATE_BYTES
+        rings = {}
+        for word, channels in CHANNELS.items():
+            shape = (CAPACITY[word], channels + 3)
+            cells = np.frombuffer(pages, np.float64, shape[0] * shape[1], offset).reshape(shape)
+            rings[word] = Ring(cells, self._words, word)
+            offset += cells.nbytes
+        self.wrench, self.poses, self.rounds = rings[WRENCH], rings[POSES], rings[ROUNDS]
+        self._notes = np.frombuffer(pages, NOTE, NOTES_KEPT, offset)
+
+    @property
+    def backend_beats(self) -> int:
+        """Grows as long as the backend lives."""
+        return int(self._words[BACKEND_BEAT])
+
+    @property
+    def rig_beats(self) -> int:
+        """Grows as long as the rig lives."""
+        return int(self._words[RIG_BEAT])
+
+    @property
+    def stops(self) -> int:
+        """How often STOP was asked for."""
+        return int(self._words[STOPS])
+
+    @property
+    def lease_until_s(self) -> float:
+        """Bench time until which motion is permitted."""
+        return float(self._lease[0])
+
+    def beat(self, word: int) -> None:
+        """Count up a word of which this side is the only writer."""
+        self._words[word] += 1
+
+    def permit(self, until_s: float) -> None:
+        """Tell until when motion is permitted."""
+        self._lease[0] = until_s
+
+    def show(self, state: dict[str, Any]) -> None:
+        """Put the state of the rig in place of the last one; ValueError if it is too long."""
+        content = json.dumps(state, separators=(",", ":")).encode()
+        if len(content) > STATE_BYTES - 24:
+            raise ValueError(f"a state of {len(content)} bytes is too long")
+        number = int(self._words[STATE]) + 1
+        ends = self._state.view(np.int64)
+        ends[-1] = ends[0] = -1
+        ends[1] = len(content)
+        self._state[16 : 16 + len(content)] = np.frombuffer(content, np.uint8)
+        ends[-1] = number
+        ends[0] = number
+        self._words[STATE] = number
+
+    def seen(self) -> dict[str, Any] | None:
+        """Return the newest state, None before the first or while it is being written."""
+        ends = self._state.view(np.int64)
+        number = int(ends[0])
+        if number <= 0:
+            return None
+        size = int(ends[1])
+        content = self._state[16 : 16 + size].tobytes()
+        if int(ends[-1]) != number or int(ends[0]) != number:
+            return None
+        found = json.loads(content)
+        return found if isinstance(found, dict) else None
+
+    def note(self, t_s: float, text: str) -> None:
+        """Append a line to what the flight recorder holds; its end is cut where it is too long."""
+        number = int(self._words[NOTES])
+        content = text.encode()[:NOTE_BYTES].ljust(NOTE_BYTES)
+        self._notes[number % NOTES_KEPT] = (number, t_s, content, number)
+        self._words[NOTES] = number + 1
+
+    def notes(self) -> list[tuple[float, str]]:
+        """Return the kept lines with their times, oldest first."""
+        count = int(self._words[NOTES])
+        kept = [self._notes[n % NOTES_KEPT] for n in range(max(0, count - NOTES_KEPT), count)]
+        lines = [(float(row["t_s"]), bytes(row["text"])) for row in kept]
+        return [(t_s, text.decode(errors="replace").rstrip()) for t_s, text in lines]
+
+
+NOTE = np.dtype(
+    [("first", np.int64), ("t_s", np.float64), ("text", f"S{NOTE_BYTES}"), ("last", np.int64)]
+)
+SIZE = (
+    8 * WORDS
+    + STATE_BYTES
+    + sum(8 * CAPACITY[word] * (channels + 3) for word, channels in CHANNELS.items())
+    + NOTES_KEPT * NOTE.itemsize
+)
+
+
+def make() -> tuple[SharedMemory, Path]:
+    """Return new memory and its file, for nobody but this user; drop the folder once attached."""
+    _sweep(_folder())
+    folder = Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-", dir=_folder()))
+    path = folder / FILE
+    with path.open("w+b") as file:
+        file.truncate(SIZE)
+        memory = SharedMemory(mmap.mmap(file.fileno(), SIZE))
+    memory.permit(-math.inf)
+    return memory, path
+
+
+def attach(path: Path) -> SharedMemory:
+    """Return the memory in the file ``path``; raises ``OSError``."""
+    with path.open("r+b") as file:
+        return SharedMemory(mmap.mmap(file.fileno(), SIZE))
+
+
+def drop(path: Path) -> None:
+    """Take the file away: who has attached keeps the memory, and nothing is left behind."""
+    shutil.rmtree(path.parent, ignore_errors=True)
+
+
+def _folder() -> Path:
+    """Return where memory files are kept: in memory itself where there is such a place."""
+    shared = Path("/dev/shm")  # noqa: S108 - a folder of our own is made in it
+    usable = shared.is_dir() and os.access(shared, os.W_OK)
+    return shared if usable else Path(tempfile.gettempdir())
+
+
+def _sweep(folder: Path) -> None:
+    """Take away what a program that was killed while starting has left."""
+    for found in folder.glob(f"{PREFIX}*-*"):
+        number = found.name.removeprefix(PREFIX).split("-")[0]
+        if number.isdecimal() and not _alive(int(number)):
+            shutil.rmtree(found, ignore_errors=True)
+
+
+def _alive(number: int) -> bool:
+    if os.name != "posix":
+        return True
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True

@@ -1,0 +1,164 @@
+"""The rig process: ``python -m backend.rig.process``, started by the backend with a pipe each way.
+
+The first message names settings, limits, clock and shared memory; the answer says who runs or what
+is refused. From then on a round every 4 ms, at real-time priority where the user may have it. A
+pipe that closes, a parent that is gone or SIGTERM end all motion, then the process. No Qt, no
+torch, no OpenCV.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+from typing import IO
+
+from backend.config.hardware import HardwareSettings
+from backend.core.faults import InputError
+from backend.core.stream import SampleStream
+from backend.devices.force_torque.making import make_force_torque
+from backend.devices.interlock import Limits
+from backend.devices.melfa.making import make_arm
+from backend.devices.melfa.realtime import prefer
+from backend.devices.wsg.making import make_gripper
+from backend.rig.channel import Channel
+from backend.rig.host import Devices, RigHost
+from backend.rig.memory import SharedMemory, attach
+from backend.rig.messages import Message, error_row, pack, receive
+
+ROUND_S = 0.004
+END_S = 0.03
+"""The end packets of the stream need three cycles."""
+FAREWELL_S = 3.0
+"""So long the devices may take to be closed once nobody is left to ask for it."""
+CAPACITY = 32_768
+
+
+def make_devices(settings: HardwareSettings, now_s: Callable[[], float]) -> Devices:
+    """Return the three drivers of a bench file, not yet connected; raises ``InputError``."""
+    samples = SampleStream("force_torque", 6, CAPACITY)
+    poses = SampleStream("arm", 3, CAPACITY)
+    sensor = make_force_torque(settings, now_s, samples)
+    gripper = make_gripper(settings, now_s)
+    return Devices(make_arm(settings, now_s, samples, poses), gripper, sensor, samples, poses)
+
+
+def main() -> int:
+    """Serve one backend until it is gone; return the exit code."""
+    source, sink = _pipes()
+    begin = receive(source)
+    if begin is None:
+        return 0
+    begun_s = float(begin["begun_s"])
+
+    def now_s() -> float:
+        return time.monotonic() - begun_s
+
+    try:
+        settings = HardwareSettings.model_validate(begin["settings"])
+        devices = make_devices(settings, now_s)
+        memory = attach(Path(begin["memory"]))
+    except (InputError, ValueError, OSError) as error:
+        sink.write(pack({"kind": "refused", "error": error_row(error)}))
+        sink.flush()
+        return 2
+    return _serve(begin, devices, memory, (source, sink), now_s, settings.melfa.realtime_priority)
+
+
+def _pipes() -> tuple[IO[bytes], IO[bytes]]:
+    """Keep both pipes for messages alone: whatever prints goes to standard error."""
+    source, sink = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    # Ctrl-C is for the backend, which ends this process in an orderly way.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return source, sink
+
+
+def _serve(
+    begin: Message,
+    devices: Devices,
+    memory: SharedMemory,
+    pipes: tuple[IO[bytes], IO[bytes]],
+    now_s: Callable[[], float],
+    priority: int,
+) -> int:
+    channel: Channel
+
+    def say(message: Message) -> bool:
+        # A backend that takes nothing any more is as good as gone.
+        taken = channel.say(message)
+        if not taken:
+            host.leave()
+        return taken
+
+    host = RigHost(devices, Limits(**begin["limits"]), now_s, memory, say)
+    channel = Channel(*pipes, host.take, host.leave)
+
+    def terminate(number: int, frame: FrameType | None) -> None:
+        host.leave()
+
+    signal.signal(signal.SIGTERM, terminate)
+    realtime = prefer(priority)
+    channel.say(_hello(devices, realtime=realtime))
+    channel.start()
+    # What was made so far stays: no look of the collector has to go through it.
+    gc.collect()
+    gc.freeze()
+    try:
+        _keep_time(host, os.getppid())
+    finally:
+        _end(devices)
+    return 0
+
+
+def _hello(devices: Devices, *, realtime: bool) -> Message:
+    arm = devices.arm
+    ranges = [list(pair) for pair in arm.joint_limits_rad] if arm.rotates else []
+    return {
+        "kind": "hello",
+        "pid": os.getpid(),
+        "python": sys.version.split()[0],
+        "realtime": realtime,
+        "joint_ranges": ranges,
+    }
+
+
+def _keep_time(host: RigHost, parent: int) -> None:
+    """Make a round every ``ROUND_S`` until one says that it is over; missed ones are skipped."""
+    never = threading.Event()
+    deadline_s = time.monotonic()
+    while True:
+        if os.getppid() != parent:
+            host.leave()
+        if host.round():
+            return
+        deadline_s = max(deadline_s + ROUND_S, time.monotonic())
+        never.wait(deadline_s - time.monotonic())
+
+
+def _end(devices: Devices) -> None:
+    """Stop, let the end of the stream out, then close the devices as far as they answer."""
+    devices.arm.stop()
+    devices.gripper.stop()
+    threading.Event().wait(END_S)
+
+    def close() -> None:
+        for device in (devices.arm, devices.gripper, devices.force_torque):
+            device.close()
+
+    farewell = threading.Thread(target=close, name="rig farewell", daemon=True)
+    farewell.start()
+    farewell.join(FAREWELL_S)
+
+
+if __name__ == "__main__":
+    code = main()
+    sys.stderr.flush()
+    # Threads that wait for a pipe or a wire must not keep the process.
+    os._exit(code)

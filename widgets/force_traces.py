@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, Qt
-from PySide6.QtGui import QPainter, QPaintEvent, QPen, QPixmap, QPolygonF, QResizeEvent
+from PySide6.QtGui import (
+    QPainter,
+    QPaintEvent,
+    QPen,
+    QPixmap,
+    QPolygonF,
+    QResizeEvent,
+    QStaticText,
+)
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from backend.core.flow import FloatArray
 from widgets.freshness import Age
 from widgets.overlay import draw_message, draw_stale
-from widgets.plot_axes import PlotArea, nice_step, tick_text, ticks
+from widgets.plot_axes import PlotArea, nice_step, polygon_of, tick_text, ticks
 from widgets.theme import Theme, ui_font
 from widgets.trace_buckets import TraceBuckets
 
@@ -111,30 +121,31 @@ class TracePlot(QWidget):
             draw_stale(painter, area.rect, self._theme, self._age_s)
 
     def _draw_traces(self, painter: QPainter, area: PlotArea) -> None:
-        age_s, low, high = thinned(*self.buckets.ordered(), int(area.rect.width()))
+        lines = _polylines(area, *thinned(*self.buckets.ordered(), int(area.rect.width())))
         painter.setClipRect(area.rect)
         self.points_drawn = 0
-        for axis, name in enumerate(AXES):
+        for name, stretches in zip(AXES, lines, strict=True):
             painter.setPen(QPen(self._theme.tokens.colour(f"axis_{name}"), 1))
-            for line in _polylines(area, age_s, low[:, axis], high[:, axis]):
+            for line in stretches:
                 self.points_drawn = max(self.points_drawn, line.size())
                 painter.drawPolyline(line)
         painter.setClipping(False)
 
     def _draw_end_labels(self, painter: QPainter, area: PlotArea) -> None:
-        painter.setFont(ui_font(self._theme.scale, 0.92, 500))
+        font = ui_font(self._theme.scale, 0.92, 500)
+        painter.setFont(font)
         height = painter.fontMetrics().height()
         # Read-outs: places that follow the curves would jump while they are being read.
-        top = area.rect.center().y() - ROW_EM * height
-        places = [top + ROW_EM * height * row for row in range(len(AXES))]
+        top = area.rect.center().y() - (ROW_EM + 0.5) * height
         decimals = 1 if self.limit >= 5 else 3
-        for name, value, y in zip(AXES, self.buckets.last, places, strict=True):
+        left, right = area.rect.right() + 8, self.width() - 2.0
+        for row, (name, value) in enumerate(zip(AXES, self.buckets.last.tolist(), strict=True)):
             painter.setPen(self._theme.tokens.colour(f"axis_{name}"))
-            text = f"{value:+.{decimals}f}".replace("-", "\N{MINUS SIGN}")
-            left = area.rect.right() + 8
-            box = QRectF(left, y - height / 2, self.width() - left - 2, height)
-            painter.drawText(box, int(Qt.AlignmentFlag.AlignLeft), f"{self._symbol}{name}")
-            painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), text)
+            y = top + ROW_EM * height * row
+            symbol = _laid_out(f"{self._symbol}{name}", self._theme.scale)
+            text = _laid_out(f"{value:+.{decimals}f}", self._theme.scale)
+            painter.drawStaticText(QPointF(left, y), symbol)
+            painter.drawStaticText(QPointF(right - text.size().width(), y), text)
 
     def _background(self, area: PlotArea) -> QPixmap:
         key = (self.size().toTuple(), self.limit, self._theme.tokens.name, self._theme.scale)
@@ -210,17 +221,27 @@ def thinned(
 
 def _polylines(
     area: PlotArea, age_s: FloatArray, low: FloatArray, high: FloatArray
-) -> list[QPolygonF]:
-    """One polyline per stretch without a gap; each bucket gives its low and its high point."""
+) -> list[list[QPolygonF]]:
+    """Per axis one polyline per stretch without a gap; a bucket gives its low and high point."""
+    points = np.empty((low.shape[1], len(age_s), 2, 2))
+    points[..., 0] = area.columns(age_s)[:, None]
+    for end, values in enumerate((low, high)):
+        points[:, :, end, 1] = area.rows(np.clip(values, 2 * area.y0, 2 * area.y1)).T
     good = np.isfinite(low)
     if good.all():
-        stretches = [[0, len(good)]]
-    else:
-        edges = np.flatnonzero(np.diff(good.astype(np.int8), prepend=0, append=0))
-        stretches = edges.reshape(-1, 2).tolist()
+        return [[polygon_of(axis.reshape(-1, 2))] for axis in points]
+    edges = np.diff(np.pad(good, ((1, 1), (0, 0))).astype(np.int8), axis=0)
     lines = []
-    for start, end in stretches:
-        y = np.stack([low[start:end], high[start:end]], axis=1).ravel()
-        y = np.clip(y, 2 * area.y0, 2 * area.y1)
-        lines.append(area.polygon(np.repeat(age_s[start:end], 2), y))
+    for axis, edge in zip(points, edges.T, strict=True):
+        stretches = np.flatnonzero(edge).reshape(-1, 2).tolist()
+        lines.append([polygon_of(axis[start:end].reshape(-1, 2)) for start, end in stretches])
     return lines
+
+
+@lru_cache(maxsize=1024)
+def _laid_out(text: str, scale: float) -> QStaticText:
+    """Return a read-out whose letters have their places; most values come again and again."""
+    made = QStaticText(text.replace("-", "\N{MINUS SIGN}"))
+    made.setTextFormat(Qt.TextFormat.PlainText)
+    made.prepare(font=ui_font(scale, 0.92, 500))
+    return made

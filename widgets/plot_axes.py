@@ -52,13 +52,18 @@ class PlotArea:
         """Pixel row of a value."""
         return self.rect.bottom() - (value - self.y0) / (self.y1 - self.y0) * self.rect.height()
 
+    def columns(self, x: FloatArray) -> FloatArray:
+        """Pixel columns of values of any shape."""
+        return self.rect.left() + (x - self.x0) * (self.rect.width() / (self.x1 - self.x0))
+
+    def rows(self, y: FloatArray) -> FloatArray:
+        """Pixel rows of values of any shape."""
+        return self.rect.bottom() - (y - self.y0) * (self.rect.height() / (self.y1 - self.y0))
+
     def polygon(self, x: FloatArray, y: FloatArray) -> QPolygonF:
         """Map (n,) and (n,) to a polyline without a Python loop."""
         points = np.empty((len(x), 2))
-        points[:, 0] = self.rect.left() + (x - self.x0) * (self.rect.width() / (self.x1 - self.x0))
-        points[:, 1] = self.rect.bottom() - (y - self.y0) * (
-            self.rect.height() / (self.y1 - self.y0)
-        )
+        points[:, 0], points[:, 1] = self.columns(x), self.rows(y)
         return polygon_of(points)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -44,13 +45,19 @@ class SideBody:
         return (self._seen(self.top_mm, foot, self.height_mm), self._seen(self.face_mm, 0.0, foot))
 
     def _seen(self, radius_mm: float, low_mm: float, high_mm: float) -> FloatArray:
-        ring = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1) * radius_mm
-        points = np.concatenate(
-            [np.column_stack([ring, np.full(len(ring), z)]) for z in (low_mm, high_mm)]
-        )
-        seen = points @ rotation(self.turn)[[0, 2]].T + (self.x_mm, self.z_mm)
-        hull = cv2.convexHull(seen.astype(np.float32))
-        return np.asarray(hull.reshape(-1, 2), dtype=np.float64)
+        place = np.array([self.x_mm, self.z_mm])
+        return place + _hull(radius_mm, low_mm, high_mm, self.turn)
+
+
+@lru_cache(maxsize=64)
+def _hull(radius_mm: float, low_mm: float, high_mm: float, turn: Quaternion) -> FloatArray:
+    """Return the outline of a turned cylinder about the origin; while it only moves it is known."""
+    ring = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1) * radius_mm
+    points = np.concatenate(
+        [np.column_stack([ring, np.full(len(ring), z)]) for z in (low_mm, high_mm)]
+    )
+    hull = cv2.convexHull((points @ rotation(turn)[[0, 2]].T).astype(np.float32))
+    return np.asarray(hull.reshape(-1, 2), dtype=np.float64)
 
 
 def rotation(turn: Quaternion) -> FloatArray:

@@ -41,10 +41,12 @@ class TraceBuckets:
         index = np.floor(t_s / self._width_s + 1e-9).astype(np.int64)
         if index[0] < self._newest - 1:
             self.clear()
-        keep = index > index[-1] - self.buckets
-        index, values = index[keep], values[keep]
+        oldest = index[-1] - self.buckets
+        if index[0] <= oldest:
+            keep = index > oldest
+            index, values = index[keep], values[keep]
         self._advance(int(index[-1]))
-        starts = np.flatnonzero(np.diff(index, prepend=index[0] - 1))
+        starts = np.concatenate(([0], np.flatnonzero(index[1:] != index[:-1]) + 1))
         slots = index[starts] % self.buckets
         low = np.fmin.reduceat(values, starts, axis=0)
         high = np.fmax.reduceat(values, starts, axis=0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from itertools import combinations
 
-from backend.catalogue.comparison import Comparison, Sway, sway
+from backend.catalogue.comparison import Comparison, Sway, against_gold, sway
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.values import PROGRAM
 
@@ -21,18 +21,25 @@ def agreement_words(dataset: Dataset) -> str:
         found = dataset.compare(first, second)
         if found.episodes >= LEAST:
             parts.append(in_words(first, second, found))
+    for person in people:
+        gold = against_gold(dataset.database, dataset.geometry, person)
+        if gold.episodes:
+            parts.append(in_words(f"{person} on gold", "approved label", gold))
     swayed = sway(dataset.database, people)
     if swayed.episodes >= LEAST:
         parts.append(sway_in_words(swayed))
     return "\n\n".join(parts) or (
         "No two people have answered the same episodes yet.\n\n"
-        "In the queue 'Gold' Enter keeps your displacement as an opinion: no label changes."
+        "One episode in 20 of what is to be labelled is gold: an approved label of others, not "
+        "told from the rest. What you decide there is an opinion, as in the queue 'Gold': no "
+        "label changes."
     )
 
 
 def in_words(first: str, second: str, c: Comparison) -> str:
     """Return the figures of two persons; what is not known is left out."""
-    lines = [f"{first} minus {second}, {c.episodes} episodes"]
+    count = "1 episode" if c.episodes == 1 else f"{c.episodes} episodes"
+    lines = [f"{first} minus {second}, {count}"]
     for axis, bias, icc in (("x", c.bias_x_mm, c.icc_x), ("y", c.bias_y_mm, c.icc_y)):
         if not math.isnan(bias.mean):
             limits = f", 95 % limits {_signed(bias.lower)} to {_signed(bias.upper)}"
@@ -47,8 +54,9 @@ def in_words(first: str, second: str, c: Comparison) -> str:
     lines.append(", ".join(part for part in rest if part))
     if not any(map(math.isnan, c.drift_mm)):
         lines.append(f"drift x {_signed(c.drift_mm[0])}, y {_signed(c.drift_mm[1])} mm")
-    if not any(map(math.isnan, c.seconds)):
-        lines.append(f"time {c.seconds[0]:.1f} s and {c.seconds[1]:.1f} s an episode")
+    times = [f"{seconds:.1f} s" for seconds in c.seconds if not math.isnan(seconds)]
+    if times and not math.isnan(c.seconds[0]):
+        lines.append(f"time {' and '.join(times)} an episode")
     return "\n".join(line for line in lines if line)
 
 

@@ -41,10 +41,14 @@ class BulkPresenter:
         except ValueError as error:
             self._form.found.setText(str(error))
             return
-        book, person, order = self._on.book, self._on.sitting.person, list(self._on.walk.order)
+        book, person, order = self._on.book, self._on.sitting.person, self._mine()
         self._on.flushed(
             lambda: self._on.saving.save(lambda: book.preview(person, order, change), done)
         )
+
+    def _mine(self) -> list[str]:
+        """Return the queue without the gold in it, which no bulk change may touch."""
+        return [uuid for uuid in self._on.walk.order if not self._on.shown.hides(uuid)]
 
     def apply(self) -> None:
         """Do what was previewed; refused if a label changed since."""

@@ -48,7 +48,7 @@ class Decisions:
         self._on.editing.trusted(self._submit)
 
     def _submit(self) -> None:
-        now, book, person = self._on.present, self._on.book, self._on.sitting.person
+        now, book, person = self._on.present, self._on.shown, self._on.sitting.person
         if now is None:
             return
         uuid, edit, looked = now.item.entry.uuid, now.edit, self._on.looked()
@@ -101,7 +101,7 @@ class Decisions:
 
     def _reject(self, reason: str) -> None:
         self._with_present(
-            lambda person, uuid: self._on.book.reject(
+            lambda person, uuid: self._on.shown.reject(
                 person, uuid, reason, looked=self._on.looked()
             ),
             self._then_next,
@@ -127,17 +127,17 @@ class Decisions:
         elif now is not None:
             label = now.edit.base.label
             self._with_present(
-                lambda person, uuid: self._on.book.set(person, uuid, label, verdict=said[word])
+                lambda person, uuid: self._on.shown.set(person, uuid, label, verdict=said[word])
             )
 
     def take_over(self) -> None:
         """Make another's draft one's own."""
-        self._with_present(self._on.book.take_over)
+        self._with_present(self._on.shown.take_over)
 
     def restore(self, rev_uuid: str) -> None:
         """Bring an old version back as a new one."""
         self._with_present(
-            lambda person, uuid: self._on.book.restore_revision(person, uuid, rev_uuid)
+            lambda person, uuid: self._on.shown.restore_revision(person, uuid, rev_uuid)
         )
 
     def delete(self) -> None:
@@ -146,7 +146,7 @@ class Decisions:
 
     def _delete(self, reason: str) -> None:
         self._with_present(
-            lambda person, uuid: self._on.book.delete(person, uuid, reason), self._then_next
+            lambda person, uuid: self._on.shown.delete(person, uuid, reason), self._then_next
         )
 
     def resolve(self) -> None:
@@ -169,25 +169,29 @@ class Decisions:
 
     def undo(self) -> None:
         """Take back the person's last action, whatever it was and whenever."""
-        person, book = self._on.sitting.person, self._on.book
-        self._on.flushed(lambda: self._on.saving.save(lambda: book.undo(person), self._undone))
+        person, book = self._on.sitting.person, self._on.shown
+        self._reversed(lambda: book.undo(person), "Undone")
 
     def redo(self) -> None:
         """Take back the last undo."""
-        person, book = self._on.sitting.person, self._on.book
-        self._on.flushed(lambda: self._on.saving.save(lambda: book.redo(person), self._undone))
+        person, book = self._on.sitting.person, self._on.shown
+        self._reversed(lambda: book.redo(person), "Done again")
 
-    def _undone(self, operation: Operation | None) -> None:
-        if operation is None:
-            self._page.say("There is nothing to take back.")
-            return
-        touched = episodes_of(operation)
+    def _reversed(self, work: Callable[[], Operation | str | None], word: str) -> None:
+        def done(found: Operation | str | None) -> None:
+            if found is None:
+                self._page.say("There is nothing to take back.")
+            else:
+                self._show(episodes_of(found) if isinstance(found, Operation) else [found], word)
+
+        self._on.flushed(lambda: self._on.saving.save(work, done))
+
+    def _show(self, touched: list[str], word: str) -> None:
         for uuid in touched:
             if uuid in self._on.walk.entries:
-                self._on.walk.take(self._on.dataset.entry(uuid))
+                self._on.walk.take(self._on.entry(uuid))
         here = self._on.present.item.entry.uuid if self._on.present is not None else ""
         places = [at for uuid in touched if (at := self._on.walk.find(uuid)) >= 0]
-        word = "Undone" if operation.verb == "undo" else "Done again"
         many = "" if len(touched) == 1 else f" on {len(touched)} episodes"
         if here in touched or not places:
             self._on.reload()

@@ -12,7 +12,7 @@ from app.label.page import LabelPage
 from app.label.saving import Intent, Saving
 from app.label.sigma import ask_sigma
 from app.label.sitting import Present, Sitting
-from backend.catalogue.labels import LabelBook
+from backend.catalogue.gold import GoldBook
 from backend.catalogue.values import Revision
 from widgets.offset_scene import Point
 
@@ -41,7 +41,7 @@ class Editing:
     """Changes the edit in front; saves it half a second after the last nudge, or when asked."""
 
     def __init__(
-        self, front: Front, page: LabelPage, book: LabelBook, sitting: Sitting, saving: Saving
+        self, front: Front, page: LabelPage, book: GoldBook, sitting: Sitting, saving: Saving
     ) -> None:
         self._front, self._page, self._book = front, page, book
         self._sitting, self._saving = sitting, saving

@@ -23,7 +23,8 @@ from app.label.sitting import Chosen, Present, Sitting
 from app.label.walk import Queue, Walk, read_queue
 from app.label.words import FINDING, asks_for, clock, history_rows
 from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import Looked
+from backend.catalogue.gold import GoldBook
+from backend.catalogue.values import EpisodeEntry, Looked
 
 OTHER = "Ctrl+J chooses another queue."
 EMPTY = {
@@ -49,10 +50,12 @@ class LabelPresenter:
         sitting: Sitting,
     ) -> None:
         self._page, self.dataset, self.book = page, dataset, dataset.labels
+        self.shown = GoldBook(self.book)
+        """The labels as the person sees and changes them: gold looks like the rest."""
         self.sitting = sitting
         self.present: Present | None = None
         self.saving = Saving(commits, self.refuse, self._show_saving)
-        self.editing = Editing(self, page, self.book, sitting, self.saving)
+        self.editing = Editing(self, page, self.shown, sitting, self.saving)
         self._sheets: Sheets | None = None
         read = reader(dataset, prelabel, lambda: self._sheets)
         self._prefetch = Prefetch(read, post, self._arrived)
@@ -103,8 +106,10 @@ class LabelPresenter:
         self.choose_queue(FINDING)
 
     def _take_queue(self, queue: Queue, stay: str) -> None:
+        order, entries, gold = queue
         self._cover_rows()
-        self.walk.begin(*queue, stay)
+        self.shown.begin(self.sitting.person, gold)
+        self.walk.begin(order, {u: self.shown.entry(e) for u, e in entries.items()}, stay)
         self._show_present()
 
     def go_to(self, at: int) -> None:
@@ -124,7 +129,7 @@ class LabelPresenter:
             uuid, person = self.present.item.entry.uuid, self.sitting.person
             self.flushed(
                 lambda: self.saving.save(
-                    lambda: self.book.skip(person, uuid), lambda _: self._go(self.walk.at + by)
+                    lambda: self.shown.skip(person, uuid), lambda _: self._go(self.walk.at + by)
                 )
             )
         else:
@@ -184,7 +189,7 @@ class LabelPresenter:
             self._show_saving()
             return
         uuid = ready.entry.uuid
-        self.present = Present(ready, self._begin(uuid), self.book.history(uuid))
+        self.present = Present(ready, self._begin(uuid), self.shown.history(uuid))
         self._page.say(self._news or self._said_of(self.present))
         self._news = ""
         show.show_item(self._page, ready)
@@ -198,7 +203,7 @@ class LabelPresenter:
         return asks_for(now.edit.base, reviewing=s.queue == "review", opines=s.opines)
 
     def _begin(self, uuid: str) -> Edit:
-        head = self.book.head(uuid)
+        head = self.shown.head(uuid)
         return Edit.blank(head) if self.sitting.opines else Edit.of(head)
 
     # -- what is shown of the label ---------------------------------------------------------------
@@ -290,8 +295,12 @@ class LabelPresenter:
     def _take(self, now: Present) -> None:
         """Take what the dataset says of an episode."""
         uuid = now.item.entry.uuid
-        now.edit, now.history = self._begin(uuid), self.book.history(uuid)
-        self.walk.entries[uuid] = self.dataset.entry(uuid)
+        now.edit, now.history = self._begin(uuid), self.shown.history(uuid)
+        self.walk.entries[uuid] = self.entry(uuid)
+
+    def entry(self, uuid: str) -> EpisodeEntry:
+        """Return what is to be seen of an episode now."""
+        return self.shown.entry(self.dataset.entry(uuid))
 
     def looked(self) -> Looked:
         """Return how the person came to the answer."""

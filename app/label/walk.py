@@ -9,22 +9,29 @@ from app.label.prefetch import Prefetch, around
 from app.label.sitting import Sitting
 from app.label.words import FINDING, blind_row, row_of
 from backend.catalogue.dataset import Dataset
+from backend.catalogue.gold import disguised, mixed
 from backend.catalogue.values import EpisodeEntry
 from backend.core.faults import InputError
 from widgets.label_list import LabelList, LabelRow
 
-Queue = tuple[list[str], dict[str, EpisodeEntry]]
+Queue = tuple[list[str], dict[str, EpisodeEntry], dict[str, int]]
+"""Ids in their order, all entries, and the gold among the ids with the times to show for it."""
 
 
 def read_queue(dataset: Dataset, sitting: Sitting) -> Queue:
-    """Return the ids of a queue in its order, and their entries; slow, not for the window."""
+    """Return a queue, gold mixed into what is to be labelled; slow, not for the window."""
     s = sitting
     if s.queue == FINDING:
         order = [] if s.chosen is None else list(s.chosen.said)
     else:
         order = dataset.queue(s.queue, s.person, seed=s.seed)
     entries = {entry.uuid: entry for entry in dataset.episodes()}
-    return [uuid for uuid in order if uuid in entries], entries
+    order = [uuid for uuid in order if uuid in entries]
+    if s.queue != "unlabelled":
+        return order, entries, {}
+    gold = dataset.queue("gold", s.person, seed=s.seed)
+    order = mixed(order, gold)
+    return order, entries, disguised(order, entries, gold)
 
 
 class Walk:

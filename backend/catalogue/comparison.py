@@ -107,7 +107,36 @@ def answers(database: Database, person: str, *, blind: bool | None = None) -> di
 
 def compare(database: Database, geometry: GeometryStore, first: str, second: str) -> Comparison:
     """Return the figures of agreement of two persons."""
-    one, two = answers(database, first), answers(database, second)
+    return _compared(geometry, answers(database, first), answers(database, second))
+
+
+def against_gold(database: Database, geometry: GeometryStore, person: str) -> Comparison:
+    """Return how the opinions of ``person`` compare with the approved labels of these episodes.
+
+    Of the times only the person's are known. An opinion without displacement counts among the
+    episodes and in no other figure.
+    """
+    sql = """
+    SELECT p.episode, r.geometry, p.x_um, p.y_um, p.theta_mdeg, p.sigma_um, p.verdict,
+        json_extract(o.body, '$.seen_ms'), r.x_um, r.y_um, r.theta_mdeg, r.sigma_um, r.verdict
+    FROM opinion p JOIN op o USING (op_uuid) JOIN label_head h ON h.episode = p.episode
+    JOIN label_rev r ON r.rev_uuid = h.counting
+    WHERE o.actor = ? AND instr(h.authors, ?) = 0 ORDER BY o.lamport, o.seq
+    """
+    said, gold = dict[str, Answer](), dict[str, Answer]()
+    for row in database.rows(sql, (person, f"\n{person}\n")):
+        episode, record, *label, verdict, seen_ms, x, y, theta, sigma, approved = row
+        # The last one counts, and stands where it was given.
+        said.pop(episode, None)
+        said[episode] = Answer(episode, record, Label(*label), verdict, seen_ms, blind=True)
+        gold[episode] = Answer(episode, record, Label(x, y, theta, sigma), approved, None, False)
+    return _compared(geometry, said, gold)
+
+
+def _compared(
+    geometry: GeometryStore, one: dict[str, Answer], two: dict[str, Answer]
+) -> Comparison:
+    """Return the figures of the answers ``one`` minus ``two``."""
     both = [uuid for uuid in one if uuid in two]
     pairs = [(one[u], two[u]) for u in both if one[u].label.is_set and two[u].label.is_set]
     a = np.array([x.label.offset_mm for x, _ in pairs], dtype=np.float64).reshape(-1, 2)

@@ -239,6 +239,11 @@ class LabelBook(LabelReader):
         """Whether ``person`` has an undo to take back."""
         return bool(self._stack(person).redo)
 
+    def last_step(self, person: str) -> str | None:
+        """Return the operation that ``undo`` would take back, None if there is none."""
+        stack = self._stack(person).undo
+        return stack[-1] if stack else None
+
     def undo(self, person: str) -> Operation | None:
         """Take back the last action of ``person``; None if there is none.
 

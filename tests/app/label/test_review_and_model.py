@@ -2,6 +2,7 @@
 
 import pytest
 
+from app.label.agreement import agreement_words
 from backend.catalogue.values import Label
 from tests.app.label.conftest import CTRL, ITEMS, KEY, WITHOUT_LABEL
 
@@ -216,3 +217,37 @@ def test_gold_looks_like_the_rest_of_a_blind_audit_and_a_verdict_there_changes_n
     assert {uuid: desk.book.head(uuid) for uuid in heads} == heads
     kept = desk.workspace.presenter.dataset.labels.log(actor="Ann", limit=2)
     assert [o.body["opinions"][0]["verdict"] for o in kept] == ["stable", "stable"]
+
+
+def test_gold_among_the_ordinary_queue_cannot_be_told_and_keeps_its_label(desk, monkeypatch):
+    presenter = desk.workspace.presenter
+    gold = presenter.walk.order[:2]
+    for uuid in gold:
+        desk.book.accept("Bob", uuid, Label(1500, 0, 0, 50))
+        desk.book.approve("Cleo", uuid)
+    heads = {uuid: desk.book.head(uuid) for uuid in gold}
+    monkeypatch.setattr("backend.catalogue.queues.AUDIT_SHARE", 1.0)
+    desk.do((KEY.Key_R, CTRL))
+    order, rows = presenter.walk.order, desk.page.list.rows()
+    places = {uuid: order.index(uuid) for uuid in gold}
+    assert sorted(place // 20 for place in places.values()) == [0, 1]
+    assert {row.state for row in rows[: ITEMS - 2 * WITHOUT_LABEL]} == {"draft"}
+    seen = []
+    for uuid in (*gold, next(u for u in order if u not in gold)):
+        presenter.go_to(order.index(uuid))
+        desk.settle()
+        assert desk.uuid == uuid
+        page, at = desk.page, presenter.walk.at
+        rests_on = page.basis.text().partition(": ")[2]
+        versions = page.side.history.list.count()
+        shown = page.strip.state, page.message.text(), versions, rests_on
+        desk.do(KEY.Key_Right, KEY.Key_Return)
+        seen.append((shown, page.list.rows()[at].state))
+        desk.do(KEY.Key_U)
+        assert presenter.walk.at == at
+        desk.do(KEY.Key_Return)
+    assert seen[0] == seen[1] == seen[2]
+    assert {uuid: desk.book.head(uuid) for uuid in gold} == heads
+    assert "Ann on gold minus approved label, 2 episodes" in agreement_words(presenter.dataset)
+    desk.do((KEY.Key_R, CTRL))
+    assert not set(gold) & set(presenter.walk.order)

@@ -1,0 +1,292 @@
+"""Gold among the ordinary work: approved labels of others that look as if nobody had decided yet.
+
+One episode in ``GOLD_EVERY`` of what a person is to label is gold. It shows the label that it was
+recorded with and takes every action as the rest does; what is decided is kept as an opinion, and
+the approved label never changes.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from hashlib import blake2b
+
+from backend.catalogue import review
+from backend.catalogue.labels import LabelBook
+from backend.catalogue.review import Action, Standing
+from backend.catalogue.uuid7 import uuid7
+from backend.catalogue.values import (
+    NO_LABEL,
+    EpisodeEntry,
+    Label,
+    LabelState,
+    Looked,
+    Operation,
+    Revision,
+    Source,
+    Verdict,
+)
+from backend.core.faults import InputError, RefusedError
+
+GOLD_EVERY = 20
+
+
+def mixed(order: Sequence[str], gold: Sequence[str]) -> list[str]:
+    """Return ``order`` with one of ``gold`` at some place of every 19 of them, while there are any.
+
+    The places follow from the ids: the same queue is mixed in the same way again.
+    """
+    found, block = list[str](), GOLD_EVERY - 1
+    waiting = [uuid for uuid in gold if uuid not in set(order)]
+    for start in range(0, len(order), block):
+        part = list(order[start : start + block])
+        if waiting and len(part) == block:
+            uuid = waiting.pop(0)
+            part.insert(blake2b(uuid.encode(), digest_size=2).digest()[0] % GOLD_EVERY, uuid)
+        found += part
+    return found
+
+
+def disguised(
+    order: Sequence[str], entries: Mapping[str, EpisodeEntry], gold: Sequence[str]
+) -> dict[str, int]:
+    """Return for each of ``gold`` in ``order`` an instant (UTC ns) between those of its neighbours.
+
+    Gold is older than what is still to be labelled: its own time would tell it from the rest.
+    """
+    told = {}
+    for at, uuid in enumerate(order):
+        if uuid in gold:
+            near = [order[k] for k in (at - 1, at + 1) if 0 <= k < len(order)]
+            times = [entries[other].recorded_ns for other in near if other not in gold]
+            told[uuid] = sum(times) // len(times) if times else entries[uuid].recorded_ns
+    return told
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """One action on gold: ``version`` followed ``before``, after the person's step ``after``.
+
+    ``answer``: what is kept as an opinion, None where nothing was decided.
+    """
+
+    before: Revision
+    version: Revision
+    after: str | None
+    answer: Label | None
+    looked: Looked | None
+
+
+class GoldBook:
+    """The labels as the person at work sees and changes them; gold is kept apart from the rest.
+
+    Everything that is not of gold goes to ``book``. Not for several threads at once: the saves of
+    a sitting are made one after the other.
+    """
+
+    def __init__(self, book: LabelBook) -> None:
+        self._book = book
+        self._person = ""
+        self._times: Mapping[str, int] = {}
+        self._versions: dict[str, list[Revision]] = {}
+        self._authors: dict[str, tuple[str, ...]] = {}
+        """Of each version: who wrote it."""
+        self._done: list[_Step] = []
+        self._undone: list[_Step] = []
+
+    def begin(self, person: str, times_ns: Mapping[str, int]) -> None:
+        """Take the gold of a queue of ``person``, each with the time to show (``disguised``)."""
+        if person != self._person:
+            self._versions.clear()
+            self._done.clear()
+            self._undone.clear()
+        self._person, self._times = person, dict(times_ns)
+        for uuid in times_ns:
+            if uuid not in self._versions:
+                recorded = self._book.history(uuid)[0]
+                self._versions[uuid] = [recorded]
+                self._authors[recorded.rev_uuid] = ()
+
+    def hides(self, uuid: str) -> bool:
+        """Whether an episode is gold."""
+        return uuid in self._times
+
+    # What is seen
+
+    def head(self, uuid: str) -> Revision:
+        """Return the revision that seems to hold."""
+        return self._versions[uuid][-1] if self.hides(uuid) else self._book.head(uuid)
+
+    def history(self, uuid: str) -> list[Revision]:
+        """Return all revisions that are to be seen, oldest first."""
+        return list(self._versions[uuid]) if self.hides(uuid) else self._book.history(uuid)
+
+    def entry(self, entry: EpisodeEntry) -> EpisodeEntry:
+        """Return the entry as it is to be seen."""
+        if not self.hides(entry.uuid):
+            return entry
+        state = self.head(entry.uuid).state
+        return replace(entry, state=state, conflict=False, recorded_ns=self._times[entry.uuid])
+
+    # What is done: as in ``LabelBook``
+
+    def set(
+        self,
+        person: str,
+        uuid: str,
+        label: Label,
+        *,
+        source: Source | None = None,
+        verdict: Verdict | None = None,
+    ) -> Revision:
+        """Write a draft."""
+        if not self.hides(uuid):
+            return self._book.set(person, uuid, label, source=source, verdict=verdict)
+        head = self.head(uuid)
+        said = self._said(person, uuid, label, source, verdict, self._after("set", uuid, person))
+        same = (said.label, said.source, said.verdict) == (head.label, head.source, head.verdict)
+        return head if same and head.state == "draft" else self._add(said)
+
+    def accept(
+        self,
+        person: str,
+        uuid: str,
+        label: Label,
+        *,
+        source: Source | None = None,
+        looked: Looked | None = None,
+    ) -> Revision:
+        """Submit a label for review; of gold it becomes an opinion."""
+        if not self.hides(uuid):
+            return self._book.accept(person, uuid, label, source=source, looked=looked)
+        state = None
+        if label != self.head(uuid).label:
+            state = self._after("set", uuid, person)
+        state = self._after("accept", uuid, person, state)
+        said = self._said(person, uuid, label, source, None, state)
+        return self._add(said, label, looked)
+
+    def reject(
+        self, person: str, uuid: str, reason: str, *, looked: Looked | None = None
+    ) -> Revision:
+        """Say that it cannot be labelled; of gold that is an opinion without displacement."""
+        if not self.hides(uuid):
+            return self._book.reject(person, uuid, reason, looked=looked)
+        state = self._after("reject", uuid, person)
+        said = self._said(person, uuid, self.head(uuid).label, None, None, state)
+        return self._add(replace(said, reason=reason), NO_LABEL, looked)
+
+    def delete(self, person: str, uuid: str, reason: str) -> None:
+        """Hide an episode; gold stays, and an opinion without displacement is kept."""
+        if self.hides(uuid):
+            head = self.head(uuid)
+            self._add(self._said(person, uuid, head.label, None, None, head.state), NO_LABEL)
+        else:
+            self._book.delete(person, uuid, reason)
+
+    def take_over(self, person: str, uuid: str) -> Revision:
+        """Make another's draft one's own."""
+        if not self.hides(uuid):
+            return self._book.take_over(person, uuid)
+        head = self.head(uuid)
+        if head.state not in ("draft", "rejected") or person in self._authors[head.rev_uuid]:
+            raise RefusedError("nothing to take over", "This is no draft of another person.")
+        return self._add(self._said(person, uuid, head.label, None, None, "draft"))
+
+    def restore_revision(self, person: str, uuid: str, rev_uuid: str) -> Revision:
+        """Write an old revision again."""
+        if not self.hides(uuid):
+            return self._book.restore_revision(person, uuid, rev_uuid)
+        for old in self._versions[uuid]:
+            if old.rev_uuid == rev_uuid:
+                return self.set(person, uuid, old.label, source=old.source, verdict=old.verdict)
+        raise InputError("The revision is of another episode.", rev_uuid, "Look at its history")
+
+    def skip(self, person: str, uuid: str) -> None:
+        """Put an episode behind all others; gold comes again where it was."""
+        if not self.hides(uuid):
+            self._book.skip(person, uuid)
+
+    def undo(self, person: str) -> Operation | str | None:
+        """Take back the last action: its operation, or the gold episode that it was on."""
+        if not self._done or self._done[-1].after != self._book.last_step(person):
+            self._undone.clear()
+            return self._book.undo(person)
+        step = self._done.pop()
+        uuid = step.version.episode
+        if step.answer is not None:
+            self._book.opinion(person, uuid, NO_LABEL)
+        self._again(step.before)
+        self._undone.append(step)
+        return uuid
+
+    def redo(self, person: str) -> Operation | str | None:
+        """Take back the last undo."""
+        if not self._undone or self._undone[-1].after != self._book.last_step(person):
+            return self._book.redo(person)
+        step = self._undone.pop()
+        self._keep(step)
+        self._again(step.version)
+        self._done.append(step)
+        return step.version.episode
+
+    # Inside
+
+    def _after(
+        self, action: Action, uuid: str, person: str, state: LabelState | None = None
+    ) -> LabelState:
+        """Return the state that an ordinary label would come to, or refuse as it would."""
+        head = self.head(uuid)
+        authors = self._authors[head.rev_uuid] if state is None else (person,)
+        standing = Standing(state or head.state, authors, False, False, False)
+        return review.after(action, standing, person)
+
+    def _said(
+        self,
+        person: str,
+        uuid: str,
+        label: Label,
+        source: Source | None,
+        verdict: Verdict | None,
+        state: LabelState,
+    ) -> Revision:
+        head = self.head(uuid)
+        moved = "human" if label != head.label else head.source
+        return replace(
+            head, rev_uuid=uuid7(), parent=head.rev_uuid, label=label, source=source or moved,
+            verdict=verdict or head.verdict, state=state, reason=None, person=person,
+            at_ns=time.time_ns(),
+        )  # fmt: skip
+
+    def _add(
+        self, version: Revision, answer: Label | None = None, looked: Looked | None = None
+    ) -> Revision:
+        before = self.head(version.episode)
+        step = _Step(before, version, self._book.last_step(version.person), answer, looked)
+        self._keep(step)
+        authors = self._authors[before.rev_uuid]
+        if version.state in ("draft", "submitted"):
+            authors = tuple(sorted({*authors, version.person}))
+        self._authors[version.rev_uuid] = authors
+        self._versions[version.episode].append(version)
+        self._done.append(step)
+        self._undone.clear()
+        return version
+
+    def _keep(self, step: _Step) -> None:
+        """Write the opinion of a decision."""
+        if step.answer is not None:
+            said = step.version
+            self._book.opinion(
+                said.person, said.episode, step.answer, verdict=said.verdict, looked=step.looked
+            )
+
+    def _again(self, old: Revision) -> None:
+        """Add an old version as a new one, as undo and redo do."""
+        head = self.head(old.episode)
+        copy = replace(
+            old, rev_uuid=uuid7(), parent=head.rev_uuid, person=self._person, at_ns=time.time_ns()
+        )
+        self._authors[copy.rev_uuid] = self._authors[old.rev_uuid]
+        self._versions[old.episode].append(copy)

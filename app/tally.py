@@ -40,4 +40,8 @@ def score_of(trials: Sequence[TrialStory], planned: int, last: str) -> Score:
         last = f"{last} {said}".strip()
     placed = sum(outcome is Outcome.PLACED for outcome in outcomes)
     interval = wilson(placed, len(outcomes) - excused)
-    return Score(outcomes, planned, interval, last, excused)
+    ended = [t.finished for t in done if t.finished is not None]
+    void = tuple(
+        f"Trial {one.trial}: {one.reason}" for one in ended if one.outcome is Outcome.ABORTED
+    )
+    return Score(outcomes, planned, interval, last, excused, void)

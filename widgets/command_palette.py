@@ -53,6 +53,10 @@ def best(query: str, choices: Sequence[Choice]) -> list[Choice]:
     return [choice for _, _, choice in sorted(scored, key=lambda row: row[:2])][:SHOWN]
 
 
+TAKES = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
+"""Keys that take the entry, whatever they mean on the page."""
+
+
 class CommandPalette(QDialog):
     """A text field over a list. Return takes the chosen one, Esc goes away; not modal."""
 
@@ -97,6 +101,11 @@ class CommandPalette(QDialog):
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         """Let the arrows walk in the list and Return take the entry while the text is edited."""
+        if isinstance(event, QKeyEvent) and event.type() is QEvent.Type.ShortcutOverride:
+            # Return has a meaning on some pages: here it takes the entry.
+            if event.key() in TAKES:
+                event.accept()
+            return False
         if not isinstance(event, QKeyEvent) or event.type() is not QEvent.Type.KeyPress:
             return False
         steps = {Qt.Key.Key_Down: 1, Qt.Key.Key_Up: -1, Qt.Key.Key_PageDown: 8,
@@ -107,7 +116,7 @@ class CommandPalette(QDialog):
             self.list.setCurrentRow(min(max(row, 0), self.list.count() - 1))
             self._describe()
             return True
-        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
+        if event.key() in TAKES:
             self._take(self.list.currentItem() if self.list.count() else None)
             return True
         return False

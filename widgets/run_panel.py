@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from PySide6.QtCore import QSize
 from PySide6.QtWidgets import (
     QComboBox,
+    QDoubleSpinBox,
     QGridLayout,
     QHBoxLayout,
     QPushButton,
@@ -36,7 +37,10 @@ MODES = (
 
 @dataclass(frozen=True, slots=True)
 class RunForm:
-    """What the operator asked for. ``under``: the body below the touched bottom, "" for none."""
+    """What the operator asked for. ``under``: the body below the touched bottom, "" for none.
+
+    ``origin_x_mm, origin_y_mm``: on devices, where the centre of the bottom is for the arm.
+    """
 
     piece: str = "pot"
     bottom: str = "short"
@@ -45,6 +49,8 @@ class RunForm:
     trials: int = 3
     strategy: str = "paper"
     mode: str = "auto"
+    origin_x_mm: float = 0.0
+    origin_y_mm: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +78,14 @@ class RunPanel(Panel):
         self._theme = theme
         self._piece, self._bottom, self._under = QComboBox(), QComboBox(), QComboBox()
         self._seed, self._trials = QSpinBox(), QSpinBox()
+        self._origin = QDoubleSpinBox(), QDoubleSpinBox()
         self._strategy, self._mode = QComboBox(), QComboBox()
         self._seed.setRange(0, 999_999)
         self._trials.setRange(1, 100)
-        for number in (self._seed, self._trials):
+        for box in self._origin:
+            box.setRange(-300.0, 300.0)
+            box.setDecimals(2)
+        for number in (self._seed, self._trials, *self._origin):
             number.lineEdit().setTextMargins(6, 0, 0, 0)
         for key, text in STRATEGIES:
             self._strategy.addItem(text, key)
@@ -129,6 +139,11 @@ class RunPanel(Panel):
         for column, (text, number) in ((0, ("Seed", self._seed)), (2, ("Trials", self._trials))):
             form.addWidget(_buddy(text, number), 3, column)
             form.addWidget(number, 3, column + 1)
+        x, y = self._origin
+        self._origin_words = _buddy("Origin x", x), _buddy("y", y)
+        for column, widget in enumerate((self._origin_words[0], x, self._origin_words[1], y)):
+            form.addWidget(widget, 6, column)
+        self.show_devices(False)
         for row, (text, field) in ((4, ("Strategy", self._strategy)), (5, ("Mode", self._mode))):
             form.addWidget(_buddy(text, field), row, 0)
             form.addWidget(field, row, 1, 1, 3)
@@ -158,6 +173,11 @@ class RunPanel(Panel):
                 combo.addItem(title, key)
         self.show_form(form)
 
+    def show_devices(self, devices: bool) -> None:
+        """Show the origin where an arm has to find the bottom."""
+        for widget in (*self._origin, *self._origin_words):
+            widget.setVisible(devices)
+
     def show_form(self, form: RunForm) -> None:
         """Fill in a form; unknown entries are left as they are."""
         for combo, key in ((self._piece, form.piece), (self._bottom, form.bottom),
@@ -168,6 +188,8 @@ class RunPanel(Panel):
                 combo.setCurrentIndex(index)
         self._seed.setValue(form.seed)
         self._trials.setValue(form.trials)
+        self._origin[0].setValue(form.origin_x_mm)
+        self._origin[1].setValue(form.origin_y_mm)
 
     def form(self) -> RunForm:
         """Return what is filled in."""
@@ -181,6 +203,8 @@ class RunPanel(Panel):
             trials=self._trials.value(),
             strategy=self._strategy.currentData(),
             mode=self._mode.currentData(),
+            origin_x_mm=self._origin[0].value(),
+            origin_y_mm=self._origin[1].value(),
         )
 
     def show_buttons(self, buttons: RunButtons) -> None:
@@ -191,7 +215,7 @@ class RunPanel(Panel):
         self.pause.setText("Resume" if buttons.paused else "Pause")
         self.cancel.setEnabled(buttons.cancel)
         for field in (self._piece, self._bottom, self._under, self._seed, self._trials,
-                      self._strategy, self._mode):  # fmt: skip
+                      self._strategy, self._mode, *self._origin):  # fmt: skip
             field.setEnabled(not buttons.cancel and self._piece.count() > 0)
         self.draw_icons()
 

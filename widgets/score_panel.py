@@ -13,6 +13,7 @@ from backend.core.flow import Outcome
 from widgets.panel import Panel, label
 from widgets.theme import Theme
 
+MOST_VOID = 3
 WORDS: dict[Outcome, str] = {
     Outcome.PLACED: "placed",
     Outcome.FELL: "fell",
@@ -27,6 +28,7 @@ class Score:
     """Outcomes so far, trials planned, and the Wilson interval of the success rate (0..1).
 
     ``excused``: so many of the aborted ones are not counted in the rate; ``last`` says why.
+    ``void``: a line for each trial that came to nothing.
     """
 
     outcomes: tuple[Outcome, ...]
@@ -34,6 +36,7 @@ class Score:
     interval: tuple[float, float] | None
     last: str = ""
     excused: int = 0
+    void: tuple[str, ...] = ()
 
     @property
     def counted(self) -> int:
@@ -110,6 +113,9 @@ class ScorePanel(Panel):
         self.column.addWidget(self._marks)
         self.column.addWidget(self._rate)
         self.column.addWidget(self._last)
+        self._void = label("", "small", wrap=True)
+        self._void.hide()
+        self.column.addWidget(self._void)
         self.column.addStretch(1)
         self.show_score(Score((), 0, None))
 
@@ -131,12 +137,16 @@ class ScorePanel(Panel):
         self._marks.show()
         self._marks.show_outcomes(score.outcomes, score.trials)
         self._last.setText(score.last or "Every trial ends with one mark.")
+        # The newest lines: a run of a hundred would fill the page.
+        self._void.setText("\n".join(score.void[-MOST_VOID:]))
+        self._void.setToolTip("\n".join(score.void))
+        self._void.setVisible(bool(score.void))
 
     @property
     def words(self) -> str:
         """What is shown, line by line."""
-        shown = (self._count, self._rate if not self._rate.isHidden() else None, self._last)
-        return "\n".join(one.text() for one in shown if one is not None and one.text())
+        shown = (self._count, self._rate, self._last, self._void)
+        return "\n".join(one.text() for one in shown if one.text() and not one.isHidden())
 
     def show_facts(self, headline: str, text: str) -> None:
         """Show what a recording without trials is: one line large, the others small."""
@@ -144,4 +154,5 @@ class ScorePanel(Panel):
         self.detail.setText("")
         self._marks.hide()
         self._rate.hide()
+        self._void.hide()
         self._last.setText(text)

@@ -21,6 +21,7 @@ def form_of(memory: Mapping[str, object]) -> tuple[RunForm, list[str]]:
 
 
 def careful(form: RunForm) -> RunForm:
-    """Return the form for real or emulated devices: asked before each move, one trial at a time."""
+    """Return the form for devices: asked before each move, and nothing let go untested."""
     mode = "approve" if form.mode == "auto" else form.mode
-    return replace(form, mode=mode, trials=1, strategy="paper")
+    strategy = "paper" if form.strategy == "pick-and-place" else form.strategy
+    return replace(form, mode=mode, strategy=strategy)

@@ -21,6 +21,7 @@ from widgets.score_panel import ScorePanel
 from widgets.side_view import SideView
 from widgets.theme import Theme, ui_font
 from widgets.traces_panel import TracesPanel
+from widgets.trial_panel import TrialIntents, TrialLook, TrialPanel
 
 TRACES, SIDE = "Force and moment", "Bench from the side"
 SIDE_PX = 150
@@ -38,6 +39,7 @@ class StackIntents:
     decline: Callable[[], None]
     choose: Callable[[int], None]
     compare: Callable[[], None]
+    trial: TrialIntents
 
 
 class StackPage(LivePage):
@@ -50,6 +52,7 @@ class StackPage(LivePage):
         self.traces_panel = TracesPanel("Force and moment at the wrist", self.force, self.moment)
         self.fit = self.traces_panel.fit
         self.decision = DecisionPanel(intents.approve, intents.decline)
+        self.trial = TrialPanel(theme, intents.trial)
         self.strip = ProbeStrip(theme, intents.choose)
         thumbnails = [thumbnail.view for thumbnail in self.strip.thumbnails]
         self.belief_panel = BeliefPanel(theme, "Belief map", thumbnails)
@@ -75,6 +78,12 @@ class StackPage(LivePage):
         self.show_silent(why)
         self.decision.show_text(DecisionText(verdict, "", "", why))
 
+    def show_trial(self, look: TrialLook | None) -> None:
+        """Show what the operator is asked; a picture takes the place of the belief map."""
+        self.trial.show_look(look)
+        pictured = look is not None and look.scene is not None
+        self.belief_panel.setVisible(not pictured and not self.columns.hides("Belief map"))
+
     def _leave_room(self) -> None:
         """Leave out the side view where the controls need its room."""
         super()._leave_room()
@@ -89,7 +98,7 @@ class StackPage(LivePage):
             no_higher(panel)
             fingers.addWidget(panel, 1)
         feel = column((fingers, 0), (self.traces_panel, 1))
-        believe = column((self.decision, 0), (self.belief_panel, 1))
+        believe = column((self.decision, 0), (self.trial, 1), (self.belief_panel, 2))
         self._right = column((self.run, 0), (self.score, 0), (self.side_panel, 1))
         left, right = self.tactile_panels.values()
         self.stand_in(

@@ -243,6 +243,7 @@ def request_of(form: RunForm) -> StackRequest:
         trials=form.trials,
         strategy=strategy,
         mode=modes.get(form.mode, "auto"),
+        origin_mm=(form.origin_x_mm, form.origin_y_mm),
     )
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 
 from app.link import Link
 from app.live import LivePresenter, LiveViews
+from app.stack.attended import AttendedPresenter
 from app.stack.comparison import Comparison
 from app.stack.form import careful, form_of
 from app.stack.page import StackIntents, StackPage
@@ -14,8 +16,18 @@ from app.stack.presenter import StackPresenter, request_of
 from app.stack.side import SidePresenter
 from app.workspace import Command, Desk, Memory, Workspace
 from backend.core.facts import Fact
+from backend.core.flow import Outcome
 from widgets.decision_panel import NOTHING_YET
 from widgets.run_panel import RunForm
+from widgets.trial_panel import TrialIntents
+
+SEEN = (
+    ("stands", "It stands", "1", Outcome.PLACED),
+    ("fell", "It fell", "2", Outcome.FELL),
+    ("disturbed", "The bottom was disturbed", "3", Outcome.KNOCKED_OVER),
+    ("void", "The trial is void, for the reason that is written", "4", Outcome.ABORTED),
+)
+"""What an operator may have seen after a release on devices: command, text, key, outcome."""
 
 
 class StackWorkspace(Workspace):
@@ -26,14 +38,16 @@ class StackWorkspace(Workspace):
 
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
+        trial = TrialIntents(self._answer, self._judge, self._photo)
         intents = StackIntents(self._start, self._pause, self._cancel, self._approve,
-                               self._decline, self._choose, self._compare)  # fmt: skip
+                               self._decline, self._choose, self._compare, trial)  # fmt: skip
         self.page = StackPage(desk.theme, intents)
         self.columns = self.page.columns
         self.live: LivePresenter | None = None
         self.presenter: StackPresenter | None = None
         self.side: SidePresenter | None = None
         self.comparison: Comparison | None = None
+        self.attended: AttendedPresenter | None = None
         self._form = RunForm()
         self.commands = (
             Command("start", "Start stacking", "Ctrl+Return", self._start),
@@ -41,6 +55,13 @@ class StackWorkspace(Workspace):
             Command("approve", "Approve the move that waits", "A", self._approve),
             Command("pause", "Pause or resume", "P", self._pause),
             Command("compare", "Compare the strategies on the same seed", "Ctrl+D", self._compare),
+            Command("confirm", "Yes: the scene is set, the hand is there, as proposed", "Return",
+                    lambda: self._on_trial(AttendedPresenter.confirm)),
+            *(
+                Command(name, text, key, partial(self._see, outcome))
+                for name, text, key, outcome in SEEN
+            ),
+            Command("photo", "Add a picture of this trial", "", self._photo),
             Command("fit", "Fit the force and moment ranges", "Ctrl+F", self.page.fit),
         )  # fmt: skip
 
@@ -51,6 +72,7 @@ class StackWorkspace(Workspace):
         self.live = LivePresenter(link, views)
         self.presenter = StackPresenter(link, page, self._desk.cards)
         self.side = SidePresenter(link, page.side, page.side_panel)
+        self.attended = AttendedPresenter(link, page, self._desk.cards)
         self.comparison = Comparison(
             link, self._desk.theme, lambda: request_of(page.run.form()), self.presenter.begin
         )
@@ -58,6 +80,7 @@ class StackWorkspace(Workspace):
             [(name, shown.piece(name).title) for name in shown.tops],
             [(name, shown.piece(name).title) for name in shown.bottoms],
         )
+        page.run.show_devices(not link.simulated)
         page.run.show_form(self._form if link.simulated else careful(self._form))
         page.decision.show_text(NOTHING_YET)
         self.parts = (
@@ -73,6 +96,13 @@ class StackWorkspace(Workspace):
             self.side.take(fact)
         if self.comparison is not None:
             self.comparison.take(fact)
+        if self.attended is not None:
+            self.attended.take(fact)
+
+    def close(self) -> None:
+        """End the thread that keeps pictures."""
+        if self.attended is not None:
+            self.attended.close()
 
     def show_waiting(self, word: str, why: str) -> None:
         """Say why there is no bench yet."""
@@ -120,6 +150,22 @@ class StackWorkspace(Workspace):
     def _compare(self) -> None:
         if self.comparison is not None:
             self.comparison.open(self.page.window())
+
+    def _on_trial(self, order: Callable[[AttendedPresenter], None]) -> None:
+        if self.attended is not None:
+            order(self.attended)
+
+    def _answer(self, yes: bool) -> None:
+        self._on_trial(lambda trial: trial.answer(yes))
+
+    def _see(self, outcome: Outcome) -> None:
+        self._on_trial(lambda trial: trial.see(outcome))
+
+    def _judge(self, outcome: Outcome, reason: str) -> None:
+        self._on_trial(lambda trial: trial.judge(outcome, reason))
+
+    def _photo(self) -> None:
+        self._on_trial(AttendedPresenter.ask_photo)
 
     def _choose(self, index: int) -> None:
         if self.presenter is not None:

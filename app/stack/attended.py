@@ -1,0 +1,138 @@
+"""Presenter of a trial on devices: what the operator is asked, and what they answer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PySide6.QtWidgets import QFileDialog
+
+from app.label.commits import Commits
+from app.label.post import Post
+from app.link import Link
+from app.stack.page import StackPage
+from backend.core.facts import (
+    Fact,
+    HandOverAwaited,
+    OutcomeAwaited,
+    PhaseEntered,
+    PhotoKept,
+    Released,
+    RunFinished,
+    RunStarted,
+    SetUpAwaited,
+    TrialFinished,
+    TrialStarted,
+)
+from backend.core.faults import InputError
+from backend.core.flow import Outcome
+from backend.runs.photo import KINDS, keep_photo
+from backend.runs.words import hand_over, scene_to_set
+from widgets.fault_cards import CardText, FaultCards
+from widgets.offset_scene import OffsetScene
+from widgets.trial_panel import TrialLook
+
+_OVER = PhaseEntered | Released | TrialStarted | TrialFinished | RunFinished
+"""After one of these nothing is asked any more."""
+
+
+class AttendedPresenter:
+    """Shows one question at a time; the answer goes to the run."""
+
+    def __init__(self, link: Link, page: StackPage, cards: FaultCards) -> None:
+        self._link, self._page, self._cards = link, page, cards
+        self._asked: TrialLook | None = None
+        self._mine = False
+        self._post = Post(page)
+        self._files: Commits | None = None
+
+    def take(self, fact: Fact) -> None:
+        """Follow the runs that stack."""
+        if isinstance(fact, RunStarted):
+            self._mine = fact.activity == "stack"
+        if not self._mine:
+            return
+        if isinstance(fact, SetUpAwaited):
+            self._ask(TrialLook("Set the scene", scene_to_set(fact), "Ready", self._scene(fact)))
+        elif isinstance(fact, HandOverAwaited):
+            self._ask(TrialLook("Hand the piece over", hand_over(fact), "It is there"))
+        elif isinstance(fact, OutcomeAwaited):
+            self._ask(TrialLook("What became of it?", fact.why, proposed=fact.proposed))
+        elif isinstance(fact, _OVER):
+            self._ask(None)
+
+    def confirm(self) -> None:
+        """Say yes to what is asked: ready, or the outcome that is proposed."""
+        if self._asked is None:
+            return
+        if self._asked.proposed is not None:
+            self._page.trial.judge(self._asked.proposed)
+        else:
+            self.answer(True)
+
+    def answer(self, yes: bool) -> None:
+        """Say whether the scene is set, or the hand there."""
+        if self._asked is not None and self._asked.proposed is None:
+            self._ask(None)
+            self._link.answer(yes)
+
+    def see(self, outcome: Outcome) -> None:
+        """Press the button of an outcome."""
+        if self._asked is not None and self._asked.proposed is not None:
+            self._page.trial.judge(outcome)
+
+    def judge(self, outcome: Outcome, reason: str) -> None:
+        """Say what became of the piece."""
+        if self._asked is not None and self._asked.proposed is not None:
+            self._ask(None)
+            self._link.gate.see(outcome, reason)
+
+    def ask_photo(self) -> None:
+        """Let the operator choose a picture of this trial."""
+        if self._asked is None or self._asked.proposed is None:
+            return
+        dialog = QFileDialog(self._page, "Picture of this trial")
+        dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
+        dialog.setNameFilter(f"Pictures ({' '.join('*' + kind for kind in KINDS)})")
+        dialog.fileSelected.connect(lambda name: self.add_photo(Path(name)))
+        dialog.finished.connect(dialog.deleteLater)
+        dialog.open()
+
+    def add_photo(self, source: Path) -> None:
+        """Keep a picture of this trial beside the journal of its run."""
+        run, trial = self._link.run_folder, self._link.status().trial
+        if self._files is None:
+            self._files = Commits(self._post, "photos")
+
+        def work() -> str:
+            if run is None:
+                raise InputError("This run is not kept.", str(source), "Name a folder for runs.")
+            path = keep_photo(run, trial, source)
+            self._link.hub.publish(PhotoKept(self._link.clock_s(), trial, path.name))
+            return path.name
+
+        self._files.submit(work, self._page.trial.detail.setText, self._refused)
+
+    def close(self) -> None:
+        """End the thread of the pictures."""
+        if self._files is not None:
+            self._files.close()
+            self._files = None
+        self._post.close()
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _ask(self, look: TrialLook | None) -> None:
+        self._asked = look
+        self._page.trial.detail.setText("")
+        self._page.show_trial(look)
+
+    def _scene(self, asked: SetUpAwaited) -> OffsetScene:
+        catalogue = self._link.catalogue
+        face = catalogue.piece(asked.piece).face.polygon(96)
+        bottom = catalogue.piece(asked.bottom.split("+")[-1]).face.polygon(96)
+        return OffsetScene(bottom, face, asked.start_mm)
+
+    def _refused(self, error: Exception) -> None:
+        fix = error.fix if isinstance(error, InputError) else ""
+        what = error.what if isinstance(error, InputError) else str(error)
+        self._cards.show_card(CardText("PHOTO", what, "No picture was kept.", fix, reset=False))

@@ -26,6 +26,7 @@ from backend.emulators.joined_serving import BENCH_FILE
 from backend.emulators.truth import RemoteTruth
 from backend.learning.registry import Registry
 from backend.objects.catalogue import load_catalogue
+from backend.rig.flight import FlightRecorder
 from backend.rig.wired import WiredDevices
 from backend.runs.bench import NoModel
 from backend.runs.requests import SceneChoice
@@ -68,6 +69,12 @@ class EmulatedBench:
             keep=keep or Keep(),
             facts=facts,
         )
+        self._wired: WiredDevices | None = None
+        recorder = FlightRecorder(
+            lambda: None if self._wired is None else self._wired.link.memory,
+            lambda: self.session.run_folder,
+        )
+        self.session.hub.subscribe(recorder.note)
 
     def close(self) -> None:
         """End the run, disconnect the drivers, then take the emulated devices away."""
@@ -96,7 +103,7 @@ class EmulatedBench:
                 choice, self._settings, self._plan, folder, self._pieces
             )
             hardware = load(HardwareSettings, folder / BENCH_FILE)
-            wired = WiredDevices(
+            self._wired = wired = WiredDevices(
                 hardware,
                 self._clock.now_s,
                 raw.frames,

@@ -22,6 +22,7 @@ from backend.learning.registry import Registry
 from backend.objects.catalogue import Catalogue, Piece, load_catalogue
 from backend.placement.estimator import Estimator
 from backend.rig.connection import Connection
+from backend.rig.flight import FlightRecorder
 from backend.rig.wired import WiredDevices
 from backend.runs.bench import NoModel
 from backend.runs.requests import SceneChoice
@@ -84,6 +85,8 @@ class _LabBench:
         self._wired = wired = WiredDevices(
             settings, self._clock.now_s, raw.frames, raw.samples, raw.poses, session.interlock
         )
+        recorder = FlightRecorder(lambda: wired.link.memory, lambda: session.run_folder)
+        session.hub.subscribe(recorder.note)
         serials = settings.serials.model_dump()
         connection = Connection(wired.devices, serials)
 

@@ -43,6 +43,10 @@ class Compliance:
         """(3,) newest force on the tool; NaN when too old."""
         return self._felt_n
 
+    def silent_s(self, now_s: float) -> float:
+        """Return the age of the newest finite sample."""
+        return now_s - self._felt_s
+
     @property
     def speed_share(self) -> float:
         """Which share of its speed the reference may have at this force."""

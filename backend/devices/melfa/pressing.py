@@ -19,7 +19,7 @@ from backend.devices.melfa.admittance import (
     Loop,
     law_for,
 )
-from backend.devices.melfa.compliance import Compliance
+from backend.devices.melfa.compliance import OLD_S, Compliance
 from backend.devices.melfa.motion import ARM, HELD, ArmPress
 from backend.devices.melfa.programs import ACCELERATION_MM_S2, Felt
 from backend.devices.melfa.stiffness import ContactStiffness
@@ -27,6 +27,8 @@ from backend.devices.protocols import PressCommand
 
 AIR_S = 0.2
 RETRACT_MM, RETRACT_MM_S = 2.0, 10.0
+SILENT_S = 0.3
+"""In contact the arm draws back from what it has not felt for this long."""
 
 
 class Press:
@@ -50,6 +52,7 @@ class Press:
         t_s, force_n = before
         self._air_n = force_n[t_s >= t_s[-1] - AIR_S].mean(axis=0)
         self._detector.feed(t_s, force_n[:, 2])
+        self._felt_s = float(t_s[-1])
         self._speed_mm_s = 0.0
         self._start_z_mm: float | None = None
         self._way: list[tuple[float, float]] = []
@@ -93,6 +96,7 @@ class Press:
         finite = np.isfinite(felt.force_n[:, 2])
         if finite.any():
             self._detector.feed(felt.t_s[finite], felt.force_n[finite, 2])
+            self._felt_s = float(felt.t_s[finite][-1])
         onset_s = self._detector.onset_s
         if onset_s is None or self.motion.done:
             return False
@@ -106,6 +110,9 @@ class Press:
 
     def _descend(self, felt: Felt) -> FloatArray:
         after = felt.command_mm.copy()
+        if not felt.now_s - self._felt_s <= OLD_S:
+            # No way is gone towards the support without feeling it.
+            self.motion.end(UNFELT)
         if self.motion.done:
             return after
         command = self._command
@@ -147,9 +154,13 @@ class Press:
             comply.law = law_for(self._loop, self._command.stiffness_n_mm, STIFF_N_MM)
 
     def _judge(self, comply: Compliance, now_s: float) -> None:
-        """End the motion, and draw back if need be, on too much force or a swinging contact."""
+        """End the motion, and draw back if need be: too much force, none felt, or a swing."""
         if comply.tripped and self._rise_to_mm is None:
             self._draw_back(comply, TRIPPED)
+        elif not comply.silent_s(now_s) <= OLD_S:
+            self.motion.end(UNFELT)
+            if self._rise_to_mm is None and comply.silent_s(now_s) > SILENT_S:
+                self._draw_back(comply, UNFELT)
         elif comply.swinging:
             self.motion.end(SWINGING)
             if self._rise_to_mm is None and comply.still_swinging(now_s):
@@ -185,6 +196,13 @@ def _too_stiff(found_n_mm: float) -> Fault:
     )
 
 
+UNFELT = Fault(
+    "FT-STALE",
+    "The wrist sensor fell silent while the arm was pressing.",
+    "The press is void; in contact the arm draws back by 2 mm. The gripper was not opened.",
+    "Check the force/torque sensor and its cable, then press again.",
+    ARM,
+)
 TRIPPED = Fault(
     "FT-TRIP",
     "The force went over the trip limit while pressing.",

@@ -26,6 +26,9 @@ TIMESTAMP_TURN = 1 << 32
 LONGEST_GAP = 10_000
 """Samples; a larger step of the timestamp is a restart of the sensor, not a loss."""
 
+OLD_US = 1_000_000
+"""A timestamp so little before the newest is late; one farther back is a restart."""
+
 
 class BotaLanguage:
     """Losses follow from the timestamps of the sensor."""
@@ -67,7 +70,7 @@ class BotaLanguage:
     def take(self, data: bytes) -> list[Reading]:
         """Return the samples; what the sensor marks invalid is NaN."""
         frames = (m for m in self._decoder.feed(data) if isinstance(m, Frame))
-        return [self._reading(frame) for frame in frames]
+        return [self._reading(frame) for frame in frames if not self._is_old(frame)]
 
     @property
     def refusals(self) -> Refusals:
@@ -87,6 +90,12 @@ class BotaLanguage:
         reply = ask(link, cancel, bota.encode(request), find, limit_s=ANSWER_S)
         if reply.code != 0:
             raise NotAnsweredError(f"The sensor refuses '{request.command}' ({reply.code})")
+
+    def _is_old(self, frame: Frame) -> bool:
+        """Whether it comes after one that was taken later, or twice."""
+        if self._last_us is None:
+            return False
+        return (self._last_us - frame.timestamp_us) % TIMESTAMP_TURN <= OLD_US
 
     def _reading(self, frame: Frame) -> Reading:
         missed, last_us = 0, self._last_us

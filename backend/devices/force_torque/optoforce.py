@@ -19,6 +19,8 @@ from backend.wire import optoforce
 from backend.wire.optoforce import SPEED_HZ, Ack, Config, Frame
 
 COUNT_TURN = 1 << 16
+OLD = 1000
+"""A count so little before the newest is late; one farther back is a restart."""
 SPEED, NO_FILTER = 1, 0
 
 
@@ -57,7 +59,8 @@ class OptoforceLanguage:
     def take(self, data: bytes) -> list[Reading]:
         """Return the samples of six axes."""
         frames = (m for m in self._decoder.feed(data) if isinstance(m, Frame))
-        return [self._reading(frame) for frame in frames if len(frame.counts) == 6]
+        whole = (frame for frame in frames if len(frame.counts) == 6)
+        return [self._reading(frame) for frame in whole if not self._is_old(frame)]
 
     @property
     def refusals(self) -> Refusals:
@@ -68,6 +71,10 @@ class OptoforceLanguage:
     def stop(self, link: Link) -> None:
         """Speed 0."""
         link.write(optoforce.encode(Config(0, NO_FILTER)))
+
+    def _is_old(self, frame: Frame) -> bool:
+        """Whether it comes after one that was taken later, or twice."""
+        return self._last is not None and (self._last - frame.count) % COUNT_TURN <= OLD
 
     def _reading(self, frame: Frame) -> Reading:
         missed, last = 0, self._last

@@ -176,6 +176,14 @@ class ForceTorqueReader:
         return link, language
 
     def _start(self, link: Link, language: Language) -> None:
+        self._forget()
+        self._thread = threading.Thread(
+            target=self._read, args=(link, language), name=self.name, daemon=True
+        )
+        self._thread.start()
+
+    def _forget(self) -> None:
+        """Begin to count and to stamp anew."""
         period_s = self._greeting.period_s if self._greeting else 1.0
         numbered = self._greeting is not None and self._greeting.numbered
         self._readout = Readout(self._settings, period_s, self._late_s, numbered=numbered)
@@ -183,10 +191,6 @@ class ForceTorqueReader:
         self._first.clear()
         self._received = self._resynchronised = 0
         self._arrivals.clear()
-        self._thread = threading.Thread(
-            target=self._read, args=(link, language), name=self.name, daemon=True
-        )
-        self._thread.start()
 
     def _read(self, link: Link, language: Language) -> None:
         """Own the link until told to stop or it is lost; leave a silent sensor behind."""

@@ -24,6 +24,9 @@ MOST_OFF = 0.1
 LATE_FOR_S = 0.5
 """Arrivals that are late for so long, evenly, follow samples that nobody counted as missing."""
 
+EARLY_S = 0.1
+"""What comes so much before its time follows a count that has leapt: the line begins anew."""
+
 
 @dataclass(slots=True)
 class _Late:
@@ -61,6 +64,9 @@ class SampleClock:
         delay_s = arrival_s - self._taken_s(number)
         if delay_s < 0.0:
             self._offset_s += delay_s
+        if delay_s < -EARLY_S:
+            self._chunks.clear()
+            self._chunks.append((number, arrival_s))
         if delay_s <= self._late_s:
             self._late = None
             return 0

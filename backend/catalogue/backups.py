@@ -128,7 +128,8 @@ class Backups:
     def hourly(self) -> Path | None:
         """Make a copy if labels changed and the newest copy is an hour old."""
         age = self.age
-        if age is not None and age < EVERY:
+        # A copy from the future is one of a clock that was set back since.
+        if age is not None and timedelta(0) <= age < EVERY:
             return None
         return self.if_changed("hourly")
 

@@ -30,7 +30,7 @@ from backend.catalogue.review import check_person
 from backend.catalogue.runs import RunBook
 from backend.catalogue.schema import SCHEMA_VERSION
 from backend.catalogue.scores import Scores
-from backend.catalogue.uuid7 import uuid7
+from backend.catalogue.uuid7 import follow, uuid7
 from backend.catalogue.values import (
     Content,
     EpisodeContext,
@@ -132,6 +132,7 @@ class Dataset:
         if self.writable:
             self._checked = CheckedFolders.take(self.database)
             found = reconcile(self.store)
+            follow(self.database.one("SELECT coalesce(max(uuid), '') FROM episode")[0])
             self.labels.frozen = " ".join(finding.said for finding in found if finding.locks)
             self.notices = sentences(found)
             if self.database.migrated_from:

@@ -24,6 +24,23 @@ def uuid7() -> str:
     return from_parts(ms, random)
 
 
+def follow(text: str) -> None:
+    """Make every later id of this process greater than ``text``, whatever the clock says.
+
+    A clock that was set back must not put what comes later before what is there. Text that is no
+    such id changes nothing.
+    """
+    global _last
+    if is_uuid7(text):
+        value = uuid.UUID(text).int
+        random = (value >> 64 & 0xFFF) << 62 | value & ((1 << 62) - 1)
+        ms = value >> 80
+        # Near the end of a millisecond there is no room to count on.
+        parts = (ms, random) if random < 1 << (RANDOM_BITS - 1) else (ms + 1, 0)
+        with _lock:
+            _last = max(_last, parts)
+
+
 def from_parts(ms: int, random: int) -> str:
     """Return the id of Unix milliseconds (48 bit) and 74 random bits."""
     high, low = random >> 62, random & ((1 << 62) - 1)

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.diskspace import room_for
-from backend.catalogue.uuid7 import uuid7
+from backend.catalogue.uuid7 import follow, uuid7
 from backend.catalogue.values import EpisodeContext, EpisodeEntry, EpisodeFilter
 from backend.core.facts import CampaignBegan, RunFinished, RunStarted
 from backend.core.faults import InputError, RefusedError
 from backend.runs.bench import Bench
-from backend.runs.campaign import Campaign, new_campaign, read_campaign
+from backend.runs.campaign import Campaign, new_campaign, newest_campaign, read_campaign
 from backend.runs.collect_plan import Target, planned_mm
 from backend.runs.collect_report import pair_coverage
 from backend.runs.collected import EpisodeRecorder, Origin
@@ -119,6 +119,8 @@ def _dataset(host: RunHost, request: CollectRequest) -> Dataset:
 def _begun(dataset: Dataset, request: CollectRequest) -> Campaign:
     if request.campaign:
         return read_campaign(dataset.folder, request.campaign)
+    # Resuming takes the newest one by its id, also after the clock was set back.
+    follow(newest_campaign(dataset.folder) or "")
     return new_campaign(
         request.piece, request.bottom, request.pattern, request.seed, request.count,
         request.within_mm,

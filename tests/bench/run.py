@@ -33,6 +33,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.store_files",
     "tests.bench.queues",
     "tests.bench.arm",
+    "tests.bench.faults",
     "tests.bench.wired",
 )
 """Modules that register figures, in the order of the table."""

@@ -54,7 +54,7 @@ class TactileCamera:
         self._identity: Identity | None = None
         self._facts: Mapping[str, float] = {}
         self._arrivals: deque[float] = deque(maxlen=512)
-        self._received = self._damaged = self.reopened = 0
+        self._received = self._damaged = self.reopened = self._sequence = 0
         self._gate = self._new_gate()
         self.steps = Steps()
         self.fault: Fault | None = None
@@ -105,7 +105,7 @@ class TactileCamera:
         self._state, self.fault = DeviceState.CONNECTING, None
         self.steps.begin()
         self._stop, self._first, self._newest = threading.Event(), threading.Event(), Newest()
-        self._received = self._damaged = self.reopened = 0
+        self._received = self._damaged = self.reopened = self._sequence = 0
         self._gate = self._new_gate()
         self._arrivals.clear()
         targets = (self._watch, self._deliver)
@@ -149,7 +149,7 @@ class TactileCamera:
 
     def _watch(self, stop: threading.Event) -> None:
         """Own the camera; take it again, and only this one, whenever it was lost."""
-        tries = sequence = 0
+        tries = 0
         while not stop.is_set():
             try:
                 path = self.find()
@@ -164,7 +164,7 @@ class TactileCamera:
                 continue
             self._facts = source.facts
             try:
-                sequence = self._read(source, sequence, stop)
+                self._read(source, stop)
             except OSError as error:
                 self._fail(link_fault(self.name, f"The camera is lost: {error}."))
             finally:
@@ -172,19 +172,18 @@ class TactileCamera:
             self.reopened += not stop.is_set()
             tries = 0
 
-    def _read(self, source: Source, sequence: int, stop: threading.Event) -> int:
-        """Read until told to stop or the camera falls silent; return the next number."""
+    def _read(self, source: Source, stop: threading.Event) -> None:
+        """Read until told to stop or the camera falls silent; numbers go on over a replug."""
         heard_s, damaged = self._now_s(), self._damaged
         while not stop.is_set():
             content = source.read(READ_S)
             now_s, self._damaged = self._now_s(), damaged + source.lost
             if content is not None:
                 heard_s = now_s
-                self._newest.put((now_s, sequence, content))
-                sequence += 1
+                self._newest.put((now_s, self._sequence, content))
+                self._sequence += 1
             elif now_s - heard_s > self._settings.silence_s:
                 raise OSError(f"no picture for {now_s - heard_s:.1f} s")
-        return sequence
 
     def _deliver(self, stop: threading.Event) -> None:
         """Take what was read until told to stop."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import pytest
 
-from backend.config.simulation import SimulationSettings
 from backend.core.flow import Finger
 from backend.devices.protocols import (
     Arm,
@@ -23,6 +22,7 @@ from backend.devices.sim.bench import SimulatedBench
 from backend.objects.catalogue import load_catalogue
 from backend.objects.tower import Tower
 from backend.simulation.scene import Scene
+from tests.backend.brisk import brisk_settings
 from tests.backend.devices.emulated_arm import on_bench
 
 PRESS = PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 11.0, (30.0, 30.0, 15.0))
@@ -66,15 +66,19 @@ class DevicesUnderTest:
         self.rest(0.3)
 
 
-def _scene() -> Scene:
+FEW_HZ = 2.0
+"""Pictures a second where nobody looks at them: drawing them took longer than all else."""
+
+
+def _scene(rate_hz: float) -> Scene:
     catalogue = load_catalogue()
     bottoms = Tower((catalogue.bottom("short").body(),))
-    settings = SimulationSettings(preset="mixed")
+    settings = brisk_settings(rate_hz=rate_hz)
     return Scene(catalogue.top("pot"), bottoms, (6.0, 3.0), 11, settings)
 
 
-def simulated() -> DevicesUnderTest:
-    bench = SimulatedBench(_scene())
+def simulated(rate_hz: float = FEW_HZ) -> DevicesUnderTest:
+    bench = SimulatedBench(_scene(rate_hz))
     return DevicesUnderTest(
         bench.arm,
         bench.gripper,
@@ -85,9 +89,13 @@ def simulated() -> DevicesUnderTest:
     )
 
 
+def simulated_at_its_rates() -> DevicesUnderTest:
+    return simulated(25.0)
+
+
 def emulated_arm() -> DevicesUnderTest:
     """The driver of the arm on an emulated controller; all else is simulated."""
-    bench = SimulatedBench(_scene())
+    bench = SimulatedBench(_scene(FEW_HZ))
     arm, wires = on_bench(bench)
     return DevicesUnderTest(
         arm,
@@ -104,5 +112,7 @@ def emulated_arm() -> DevicesUnderTest:
 EVERY = pytest.mark.parametrize(
     "bench", [simulated, emulated_arm], ids=["simulated", "emulated arm"], indirect=True
 )
-ONLY_SIMULATED = pytest.mark.parametrize("bench", [simulated], ids=["simulated"], indirect=True)
+ONLY_SIMULATED = pytest.mark.parametrize(
+    "bench", [simulated_at_its_rates], ids=["simulated"], indirect=True
+)
 """For what does not concern the arm."""

@@ -1,0 +1,15 @@
+"""What one trial of a fault campaign hands back, whatever the device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Ended:
+    """What was done, what went wrong, and which rows do not hold."""
+
+    seed: int
+    doing: str
+    fault: str
+    broken: tuple[str, ...]

@@ -1,0 +1,95 @@
+"""A campaign of probes during which a device fails: what was acknowledged must be there, whole."""
+
+from __future__ import annotations
+
+import random
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from backend.catalogue.dataset import Dataset
+from backend.core.facts import PhaseEntered, ProbeCollected, RunFinished
+from backend.core.faults import TouchdownError
+from backend.runs.campaign import newest_campaign
+from backend.simulation.disturbances import KINDS, Disturbance, Script
+from tests.backend.devices.trials import Ended
+from tests.backend.runs.test_collect_faults import Failing
+
+COUNT, TRIES = 2, 4
+FAULTS = tuple((device, kind) for device, kinds in KINDS.items() for kind in kinds)
+
+
+class _AnyTime(Failing):
+    """As ``Failing``, at any instant of any phase, and for a while."""
+
+    def break_at(self, phase: int, after_s: float, device: str, kind: str, for_s: float) -> None:
+        self._when = (phase, after_s, Disturbance(device, kind, 0.0, for_s))
+
+    def _take(self, fact) -> None:
+        self.facts.append(fact)
+        phases = sum(isinstance(f, PhaseEntered) for f in self.facts)
+        if self._when is not None and phases == self._when[0]:
+            _, after_s, what = self._when
+            begins_s = fact.t_s + after_s
+            script = Script((Disturbance(what.device, what.kind, begins_s, what.length_s),))
+            bench = self.session._scene.stage.advance.__self__
+            for part in (bench, bench._world, *bench.tactile.values()):
+                part._script = script
+            self._when = None
+
+    _when: tuple[int, float, Disturbance] | None = None
+
+
+def trial(seed: int) -> Ended:
+    """Collect two probes with one fault, go on after Reset until they are there, and look."""
+    rng = random.Random(seed)
+    device, kind = rng.choice(FAULTS)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        Dataset.open(Path(folder) / "ds", person="ann") as dataset,
+    ):
+        failing = _AnyTime(dataset)
+        try:
+            when = (rng.randint(2, 12), rng.uniform(0.0, 0.5))
+            failing.break_at(*when, device, kind, rng.uniform(0.2, 3.0))
+            broken = _run(failing, dataset)
+        finally:
+            failing.session.close()
+    return Ended(seed, "collecting", f"{device} {kind}", tuple(broken))
+
+
+def _run(failing: _AnyTime, dataset: Dataset) -> list[str]:
+    asked: dict[str, object] = {"count": COUNT}
+    endings, latched = [], True
+    for _ in range(TRIES):
+        # What ends a run early is announced and raised as well.
+        with suppress(TouchdownError):
+            failing.run(**asked)
+        endings.append([f for f in failing.facts if isinstance(f, RunFinished)][-1].ending)
+        if endings[-1] == "finished":
+            break
+        latched = latched and len(failing.session.interlock.faults) > 0
+        for _ in range(40):  # until the fault is over
+            failing.session._scene.stage.advance(100_000)
+        failing.session.reset()
+        found = newest_campaign(dataset.folder)
+        asked = {"campaign": found} if found is not None else {"count": COUNT}
+    told = [fact.uuid for fact in failing.facts if isinstance(fact, ProbeCollected)]
+    entries = {entry.uuid: entry for entry in dataset.episodes()}
+    whole = [uuid for uuid in told if uuid in entries and _is_whole(dataset, uuid)]
+    rows = {
+        f"ended {endings}": endings[-1] == "finished" and set(endings) <= {"finished", "failed"},
+        "a run failed without a latched fault": latched,
+        "an acknowledged episode is lost": len(whole) == len(told),
+        "an episode that nobody was told of": set(entries) == set(told),
+        "items are missing": {entry.plan_item for entry in entries.values()} == set(range(COUNT)),
+    }
+    return [name for name, holds in rows.items() if not holds]
+
+
+def _is_whole(dataset: Dataset, uuid: str) -> bool:
+    episode = dataset.read(uuid)
+    accepted = episode.quality.accepted
+    return not accepted or bool(np.isfinite(episode.observation).all())

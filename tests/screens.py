@@ -10,7 +10,7 @@ import argparse
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
@@ -27,6 +27,7 @@ from backend.catalogue.values import EpisodeContext, Label
 from backend.core.flow import Outcome, PlaceAction
 from backend.objects.catalogue import load_catalogue
 from backend.runs.requests import RunState
+from tests import screen_panels
 from tests.app.label.conftest import make_episode
 from tests.app.stand_in import StandInBench
 from widgets.fault_cards import CardText, Question
@@ -53,6 +54,7 @@ def main(argv: list[str]) -> int:
 def _render(args: argparse.Namespace, folder: Path) -> int:
     application = QApplication([])
     _make_dataset(folder / "dataset")
+    screen_panels.train_models(folder / "packs")
     count = 0
     for theme in args.themes:
         for size in args.sizes:
@@ -89,6 +91,7 @@ class Stage:
 
     def __init__(self, application: QApplication, folder: Path, theme: str) -> None:
         folder.mkdir()
+        self._folder = folder
         self._application, self.bench = application, StandInBench()
         self.main = TouchdownApp(application, ErrorBox(), folder / "window.json", folder / "runs")
         self.main.look.show(theme, 1.0)
@@ -103,6 +106,14 @@ class Stage:
         while commits is not None and commits.busy and not until.hasExpired():
             QApplication.processEvents(QEventLoop.ProcessEventsFlag.WaitForMoreEvents, 20)
             self.main.pump.tick()
+
+    def until(self, there: Callable[[], bool]) -> None:
+        """Turn pump and event loop until ``there``, a while at most."""
+        until = QDeadlineTimer(20_000)
+        while not there() and not until.hasExpired():
+            QApplication.processEvents(QEventLoop.ProcessEventsFlag.WaitForMoreEvents, 20)
+            self.main.pump.tick()
+        self.settle()
 
     def grab(self, path: Path) -> None:
         """Save the window with whatever dialog or menu stands over it."""
@@ -131,11 +142,16 @@ class Stage:
         for follower in (self.main._chips, *filter(None, live)):
             follower._now_s = self.bench.clock_s
         yield from self._operate()
+        yield from screen_panels.by_hand(self)
         yield from self._collect_and_label()
         yield from self._train_and_review()
+        yield from screen_panels.trained(self, self._folder.parent / "packs")
         yield from self._stack()
+        yield from screen_panels.attended(self)
         yield from self._faults()
+        yield from screen_panels.pauses(self)
         yield from self._dialogs()
+        yield from screen_panels.sheets(self, self._folder)
         yield from self._large_text()
 
     def _without_a_bench(self) -> Iterator[str]:

@@ -18,6 +18,7 @@ from widgets.theme import Theme, blend, ui_font
 Quaternion = tuple[float, float, float, float]
 UPRIGHT: Quaternion = (1.0, 0.0, 0.0, 0.0)
 USUAL_SPAN_MM = (-55.0, 55.0)
+FINGER_MM = 5.0
 _ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 
 
@@ -76,7 +77,8 @@ def rotation(turn: Quaternion) -> FloatArray:
 class SideScene:
     """Bottoms from the table up, the piece, the hand, and how far to look to either side.
 
-    ``hand_mm``: grasp pivot (x, z), with ``jaws_mm`` the half opening; ``table_mm``: its height.
+    ``hand_mm``: grasp pivot (x, z), with ``jaws_mm`` the half opening, turned about it by
+    ``hand_turn``; ``table_mm``: height of the table.
     """
 
     bottoms: tuple[SideBody, ...] = ()
@@ -86,6 +88,20 @@ class SideScene:
     table_mm: float = 0.0
     caption: str = ""
     span_mm: tuple[float, float] = USUAL_SPAN_MM
+    hand_turn: Quaternion = UPRIGHT
+
+    def fingers_mm(self) -> tuple[FloatArray, ...]:
+        """Return what is seen of both fingers, as (4, 2) outlines; none without a hand."""
+        if self.hand_mm is None:
+            return ()
+        seen = rotation(self.hand_turn)[[0, 2]]
+        boxes = []
+        for side in (-1.0, 1.0):
+            inner, outer = side * self.jaws_mm, side * (self.jaws_mm + FINGER_MM)
+            corners = [(inner, -7.0), (outer, -7.0), (outer, 22.0), (inner, 22.0)]
+            box = np.array([(x, 0.0, z) for x, z in corners])
+            boxes.append(box @ seen.T + self.hand_mm)
+        return tuple(boxes)
 
 
 class SideView(QWidget):
@@ -148,16 +164,11 @@ class SideView(QWidget):
         return _Place(x_px, self.height() - 6 - (3 - scene.table_mm) * scale, scale)
 
     def _draw_jaws(self, painter: QPainter, place: _Place) -> None:
-        scene, t = self.scene, self._theme.tokens
-        if scene.hand_mm is None:
-            return
+        t = self._theme.tokens
         painter.setPen(QPen(t.colour("border"), 1))
         painter.setBrush(t.colour("raised"))
-        x, z = scene.hand_mm
-        for side in (-1, 1):
-            inner = x + side * scene.jaws_mm
-            finger = QRectF(place(inner, z - 7), place(inner + side * 5, z + 22))
-            painter.drawRoundedRect(finger.normalized(), 2, 2)
+        for finger in self.scene.fingers_mm():
+            painter.drawPolygon(QPolygonF([place(x, z) for x, z in finger.tolist()]))
 
 
 @dataclass(frozen=True, slots=True)

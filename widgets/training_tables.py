@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from PySide6.QtCore import QItemSelectionModel, QSignalBlocker, Qt
-from PySide6.QtGui import QFontMetrics
+from PySide6.QtGui import QFontMetrics, QPainter, QPaintEvent
 from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem
 
 from widgets.theme import Theme, ui_font
@@ -16,7 +16,12 @@ RIGHT = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
 
 
 class FigureTable(QTableWidget):
-    """Rows of texts; all columns but the first are figures at the right."""
+    """Rows of texts; all columns but the first are figures at the right.
+
+    ``empty`` is written in the middle while there is no row.
+    """
+
+    empty = ""
 
     def __init__(self, theme: Theme, name: str, columns: Sequence[str]) -> None:
         super().__init__(0, len(columns))
@@ -59,6 +64,18 @@ class FigureTable(QTableWidget):
                 if c:
                     item.setTextAlignment(RIGHT)
                 self.setItem(r, c, item)
+
+    def paintEvent(self, event: QPaintEvent) -> None:
+        """Draw the rows, or why there are none."""
+        super().paintEvent(event)
+        if self.empty and not self.rowCount():
+            painter = QPainter(self.viewport())
+            painter.setPen(self._theme.tokens.colour("muted"))
+            painter.setFont(ui_font(self._theme.scale, 0.92))
+            area = self.viewport().rect().adjusted(8, 2, -8, -2)
+            flags = Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap
+            painter.drawText(area, int(flags), self.empty)
+            painter.end()
 
     def texts(self) -> list[list[str]]:
         """Return what is shown."""

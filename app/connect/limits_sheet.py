@@ -103,6 +103,7 @@ class LimitsSheet(QDialog):
             box.setSuffix(f" {row.unit}")
             box.setAccessibleName(row.title)
             box.setKeyboardTracking(False)
+            box.lineEdit().setTextMargins(6, 0, 0, 0)
             box.setMinimumWidth(8 * self.fontMetrics().height())
             title = label(row.title, "muted")
             title.setBuddy(box)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from PySide6.QtGui import QFontMetrics
-from PySide6.QtWidgets import QHBoxLayout
+from PySide6.QtWidgets import QHBoxLayout, QSizePolicy
 
 from app.live_page import LivePage, column, no_higher
 from backend.core.flow import FINGERS
@@ -82,6 +82,8 @@ class StackPage(LivePage):
         """Show what the operator is asked; a picture takes the place of the belief map."""
         self.trial.show_look(look)
         pictured = look is not None and look.scene is not None
+        high = QSizePolicy.Policy.Expanding if pictured else QSizePolicy.Policy.Fixed
+        self.trial.setSizePolicy(QSizePolicy.Policy.Preferred, high)
         self.belief_panel.setVisible(not pictured and not self.columns.hides("Belief map"))
 
     def _leave_room(self) -> None:

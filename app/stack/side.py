@@ -16,7 +16,15 @@ from backend.core.flow import Fall
 from backend.devices.protocols import Arm, Device, Gripper
 from backend.objects.catalogue import Piece
 from widgets.panel import Panel
-from widgets.side_view import USUAL_SPAN_MM, SideBody, SideScene, SideView
+from widgets.side_view import (
+    UPRIGHT,
+    USUAL_SPAN_MM,
+    Quaternion,
+    SideBody,
+    SideScene,
+    SideView,
+    rotation,
+)
 
 HOLD_S = 3.0
 """So long after a release its end stays in view, also when the next trial has begun."""
@@ -93,7 +101,9 @@ class SidePresenter:
             piece = self._fallen(piece)
             bottoms = tuple(self._fallen(body) for body in bottoms)
             span = self._span(piece)
-        return SideScene(bottoms, piece, hand, self._jaws(), self._table_mm, self._names, span)
+        return SideScene(
+            bottoms, piece, hand, self._jaws(), self._table_mm, self._names, span, self._turn()
+        )
 
     def _span(self, piece: SideBody) -> tuple[float, float]:
         """Return how far to look to either side so that the fallen piece is in the picture."""
@@ -121,9 +131,28 @@ class SidePresenter:
         hand, piece = self._hand(), self._piece
         if hand is None or piece is None:
             return None
-        z_mm = hand[1] - (piece.grip_height_mm or 0.0)
+        turn = self._turn()
+        # The centre of the face lies below the grasp pivot, along the hand.
+        down = rotation(turn)[[0, 2], 2] * (piece.grip_height_mm or 0.0)
+        x_mm, z_mm = (round(float(v), 2) for v in np.subtract(hand, down))
         return SideBody(piece.name, piece.face.half_extents_mm[0], 0.5 * piece.width_mm,
-                        piece.height_mm, hand[0], z_mm)  # fmt: skip
+                        piece.height_mm, x_mm, z_mm, turn)  # fmt: skip
+
+    def _turn(self) -> Quaternion:
+        """Return by how much the hand is rotated from straight down."""
+        device = self._link.devices.get("arm")
+        if device is None:
+            return UPRIGHT
+        try:
+            pose = _arm(device).pose(math.inf)
+        except StaleSampleError:
+            return UPRIGHT
+        vector = np.array([pose.rx_rad, pose.ry_rad, pose.rz_rad])
+        angle = float(np.linalg.norm(vector))
+        if angle == 0.0:
+            return UPRIGHT
+        x, y, z = (vector / angle * math.sin(0.5 * angle)).round(4).tolist()
+        return round(math.cos(0.5 * angle), 4), x, y, z
 
     def _jaws(self) -> float:
         device = self._link.devices.get("gripper")

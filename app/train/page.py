@@ -10,6 +10,7 @@ from PySide6.QtWidgets import QHBoxLayout, QPushButton, QWidget
 
 from app.live_page import column
 from widgets.columns import Columns
+from widgets.notes import Notes
 from widgets.panel import Panel, label, rule
 from widgets.theme import Theme, ui_font
 from widgets.training_form import TrainingFormPanel, TrainingIntents
@@ -37,16 +38,19 @@ class TrainPage(QWidget):
         self._theme = theme
         self.form = TrainingFormPanel(theme, intents.form)
         self.split = FigureTable(theme, "Episodes per bottom", ("bottom", "train", "held out"))
-        self.leaks = label("", "small", wrap=True)
+        self.leaks = Notes("What the split leaks")
         self.loss = CurvePlot(theme, "Loss per epoch (nats a point)")
         self.iou = CurvePlot(theme, "IoU per epoch", 1.0)
         self.accuracy = CurvePlot(theme, "Points right per epoch", 1.0)
         self.reliability = ReliabilityPlot(theme)
         self.samples = SampleStrip(theme)
         self.runs = RunTable(theme, intents.choose)
-        self.empty = label("", "muted", wrap=True)
         self.differences = FigureTable(theme, "What differs", ("setting", "A"))
         self.figures = FigureTable(theme, "Figures per bottom", ("IoU / points right, %", "A"))
+        self.split.empty = "No episode that counts yet"
+        self.runs.empty = "No training on these data yet. Fill in the form, then Start training."
+        self.figures.empty = "Choose a finished training: its figures per bottom stand here"
+        self.differences.empty = "Choose up to three trainings (Ctrl+click): what differs"
         self.in_use = label("", "", wrap=True)
         self.promote, self.roll_back = QPushButton("Promote"), QPushButton("Roll back")
         self.promote.setToolTip("Put the chosen model in use for its piece (Ctrl+P)")
@@ -65,6 +69,8 @@ class TrainPage(QWidget):
         self._left.setMinimumWidth(round(17 * em))
         for table in (self.split, self.runs, self.differences, self.figures):
             table.fit_to_theme()
+        # Below the tall form there is room for few rows: they scroll.
+        self.split.setMinimumHeight(round(0.75 * self.split.minimumHeight()))
         self.form.draw_icons()
 
     def show_busy(self, busy: bool) -> None:
@@ -72,7 +78,7 @@ class TrainPage(QWidget):
         self.runs_panel.detail.setText("reading \N{HORIZONTAL ELLIPSIS}" if busy else "")
 
     def _arrange(self) -> None:
-        self.split_panel = _Yielding("Split", self.split)
+        self.split_panel = Panel("Split", self.split)
         self.split_panel.header.addWidget(label("Held out", "muted"))
         self.split_panel.header.addWidget(self.form.numbers.held_out)
         self.split_panel.column.addWidget(self.leaks)
@@ -113,7 +119,6 @@ class TrainPage(QWidget):
 
     def _runs_panel(self) -> Panel:
         self.runs_panel = Panel("Trainings", self.runs)
-        self.runs_panel.column.addWidget(self.empty)
         buttons = QHBoxLayout()
         buttons.addWidget(self.promote, 1)
         buttons.addWidget(self.roll_back, 1)
@@ -127,11 +132,3 @@ class TrainPage(QWidget):
         self.comparison.column.addWidget(self.figures, 1)
         self.comparison.column.addWidget(self.differences, 1)
         return self.comparison
-
-
-class _Yielding(Panel):
-    """A panel that gives up the room of its table before another panel is squeezed."""
-
-    def hasHeightForWidth(self) -> bool:
-        """Ask for the least height only: its wrapped words would ask for the table's usual one."""
-        return False

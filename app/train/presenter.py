@@ -235,9 +235,6 @@ class TrainPresenter:
 
     def _show_runs(self) -> None:
         self._show_rows()
-        page = self._page
-        page.empty.setVisible(not self.runs)
-        page.empty.setText("No training on these data yet. Fill in the form, then Start training.")
         self._show_chosen()
         self.show_buttons()
 

@@ -97,8 +97,8 @@ def scene_to_set(awaited: SetUpAwaited) -> str:
     bottom = " on ".join(reversed(awaited.bottom.split("+")))
     held = "" if awaited.holds else f" The {awaited.piece} is handed over next."
     return (
-        f"Put the {bottom} in its place and take the hands away: the {awaited.piece} starts "
-        f"{x}, {y} mm off its centre, where it would fall.{held}"
+        f"Put the bottom ({bottom}) in its place and take your hands away. The {awaited.piece} "
+        f"starts {x}, {y} mm off its centre, where it would fall.{held}"
     )
 
 

@@ -30,6 +30,7 @@ from backend.core.flow import (
     MarkerField,
     Outcome,
     PlaceAction,
+    Pose,
     Stability,
     SupportKind,
     TactileFrame,
@@ -64,6 +65,11 @@ class StandInDevice:
         self.rate_hz, self.received, self.lost = rate_hz, 1, 0
         self.poses = SampleStream("arm", 3, 100)
         self.mode, self.width_mm = RobotMode.READY, 24.0
+        self.turn_rad = (0.0, 0.0, 0.0)
+
+    def pose(self, max_age_s):
+        _, at_mm = self.poses.latest(0.0, float("inf"))
+        return Pose(*at_mm.tolist(), *self.turn_rad)
 
     @property
     def health(self):

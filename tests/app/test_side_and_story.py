@@ -100,6 +100,34 @@ def test_the_piece_stays_on_its_support_while_the_hand_rises(bench, qtbot):
     assert panel.detail.text() == "trial 1: stands"
 
 
+@pytest.mark.parametrize("tilt_deg", [0.0, 12.0, -9.0])
+def test_a_turned_hand_is_drawn_turned_with_its_piece(bench, qtbot, tilt_deg):
+    """Turned about y, seen along y: the piece is a rectangle turned about the grasp pivot."""
+    view = SideView(_theme())
+    panel = Panel("side", view)
+    qtbot.addWidget(panel)
+    panel.show()
+    qtbot.waitExposed(panel, timeout=60_000)
+    side = SidePresenter(bench, view, panel, lambda: 5.0)
+    side.take(RunStarted(0.0, "r", "pot", "short", "paper", 7, 1, True, "{}"))
+    bench.turn(0.04)
+    bench.devices["arm"].turn_rad = (0.0, np.radians(tilt_deg), 0.0)
+    _draw(side)
+    hand = np.array(view.scene.hand_mm)
+    grip_mm = bench.catalogue.piece("pot").grip_height_mm
+    cos, sin = np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))
+    piece = view.scene.piece
+    # A positive turn about y carries what is below the pivot to smaller x.
+    assert (piece.x_mm, piece.z_mm) == pytest.approx(
+        hand - (grip_mm * sin, grip_mm * cos), abs=0.02
+    )
+    left, right = view.scene.fingers_mm()
+    along = left[3] - left[0]
+    assert np.degrees(np.arctan2(along[0], along[1])) == pytest.approx(tilt_deg, abs=0.05)
+    gap = right[0] - left[0]
+    assert np.hypot(*gap) == pytest.approx(2 * view.scene.jaws_mm, abs=0.01)
+
+
 def test_nothing_fallen_is_drawn_below_the_table(bench, qtbot):
     view = SideView(_theme())
     panel = Panel("side", view)

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
@@ -11,39 +10,20 @@ from PySide6.QtWidgets import QApplication, QPushButton
 
 from app.application import TouchdownApp
 from app.error_hooks import ErrorBox
-from backend.dataset.pack_file import EpisodeRow, write_packs
-from backend.dataset.rows import patch_hex
 from backend.learning.registry import Registry
 from backend.learning.training_runs import training_runs
-from backend.objects.catalogue import load_catalogue
-from backend.objects.surface import face_points
 from backend.runs.store import models_folder
+from tests.app.tiny_packs import EPISODES, write_tiny_packs
 
 KEY, CTRL, SHIFT = Qt.Key, Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
-EPISODES, EPOCHS, HIDDEN = 100, 2, 8
+EPOCHS, HIDDEN = 2, 8
 
 
 @pytest.fixture(scope="module")
 def packs(tmp_path_factory) -> Path:
     """100 probes whose torque tells which half of the face touches."""
-    pot, folder = load_catalogue().piece("pot"), tmp_path_factory.mktemp("packs")
-    points = face_points(pot.face)
-
-    def rows() -> Iterator[EpisodeRow]:
-        rng = np.random.default_rng(6)
-        for i in range(EPISODES):
-            side = 1.0 if i % 3 else -1.0
-            observation = rng.normal(size=(20, 258)).astype(np.float32)
-            observation[:, 256] += np.float32(8 * side)
-            yield EpisodeRow(observation, {
-                "episode": f"e{i}", "x_um": 0, "y_um": 0, "sigma_um": 0, "source": "commanded",
-                "piece": pot.name, "bottom": ("circle15", "short")[i % 2],
-                "patch": patch_hex(points[:, 0] * side >= 0), "points": len(points),
-                "geometry": pot.sha256, "grip_id": f"g{i // 5}", "mounting_id": f"m{i // 10}",
-                "person": "simulated", "seed": i,
-            })  # fmt: skip
-
-    write_packs(folder, "w", rows(), {"test": "yes"})
+    folder = tmp_path_factory.mktemp("packs")
+    write_tiny_packs(folder)
     return folder
 
 

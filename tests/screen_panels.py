@@ -1,0 +1,205 @@
+"""States of the window that need more than the stand-in bench: devices, hands, wizards, models."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
+
+from app.calibrate.presenter import CalibratePresenter
+from app.connect.presenter import ConnectPresenter
+from backend.calibration.store import CalibrationStore
+from backend.config.bench_facts import BenchFacts
+from backend.config.method import TrainingSettings
+from backend.core.facts import (
+    CalibrationMeasured,
+    HandOverAwaited,
+    OutcomeAwaited,
+    Paused,
+    SetUpAwaited,
+    TrialFinished,
+)
+from backend.core.faults import Fault
+from backend.core.flow import Outcome
+from backend.devices.jog_axes import Room, axes_of
+from backend.learning.recorded import RecordedTraining, TrainingRequest
+from backend.rig.connection import Connection
+from backend.runs.attended import judged
+from backend.runs.requests import RunState
+from backend.runs.room import CONSEQUENCE, NEXT_STEP
+from tests.app.tiny_packs import write_tiny_packs
+from tests.backend.rig.scripted import scripted
+
+if TYPE_CHECKING:
+    from tests.screens import Stage
+
+PAYLOAD = CalibrationMeasured(
+    0.0, "payload",
+    names=("mass_kg", "com_x_mm", "com_y_mm", "com_z_mm"), values=(1.502, -0.3, 0.1, 62.4),
+    sigmas=(0.004, 0.15, 0.15, 0.4), units=("kg", "mm", "mm", "mm"),
+    residuals=(0.05, 0.08, 0.11, 0.06, 0.09, 0.07), residual=0.11, limit=0.3, unit="N",
+    note="The hand was turned to six attitudes.", obstacle="",
+)  # fmt: skip
+FULL = Fault("DISK-FULL", "Only 0.42 GB are free on the disk of the dataset.", CONSEQUENCE,
+             NEXT_STEP)  # fmt: skip
+
+
+class Hand:
+    """A hand in air that may be jogged everywhere."""
+
+    rotates, powered, active, holding, pressing_n = True, True, False, True, 0.0
+    switching = False
+
+    def __init__(self) -> None:
+        rooms = {f"{sign}{axis}": Room(24.0 if axis in "xyz" else 0.26)
+                 for sign in "+-" for axis in axes_of("XYZ")}  # fmt: skip
+        rooms["-z"] = Room(0.0, "DRAGGING")
+        self.jog = SimpleNamespace(
+            active=False,
+            state=SimpleNamespace(order=None, speed=0.0, slow=""),
+            rooms=lambda frame: rooms,
+            end=lambda hold: None,
+        )
+
+
+def train_models(folder: Path) -> None:
+    """Train two tiny models on tiny packs in ``folder``: a finished run each."""
+    folder.mkdir()
+    write_tiny_packs(folder)
+    for modality, layers in (("FT+Tac", 1), ("FT", 2)):
+        settings = TrainingSettings(
+            modality=modality, hidden=12, layers=layers, epochs=6, batch=8, seed=1
+        )
+        for _ in RecordedTraining(TrainingRequest(folder, "pot", settings)).reports():
+            pass
+
+
+def by_hand(stage: Stage) -> Iterator[str]:
+    """Jog pads with their ranges: hold, step, and keys."""
+    main, page = stage.main, stage.main.workspaces["operate"].page
+    main.go("operate")
+    stage.bench.hand = Hand()
+    page.jog.show_turning("")
+    stage.live(0.0)
+    yield "operate-jog"
+    page.jog.pace.steps[3].setChecked(True)
+    page.jog.show_armed(True)
+    stage.settle()
+    yield "operate-step-armed"
+    page.jog.show_armed(False)
+    page.jog.turn.click()
+    stage.settle()
+    yield "operate-turn"
+    page.jog.turn.click()
+    page.jog.pace.steps[0].setChecked(True)
+    stage.bench.hand = None
+    stage.live(0.0)
+
+
+def trained(stage: Stage, packs: Path) -> Iterator[str]:
+    """Data with a split; one training, then two compared; a model in use."""
+    main, workspace = stage.main, stage.main.workspaces["train"]
+    main.go("train")
+    workspace.take_folder(packs)
+    stage.until(lambda: bool(workspace.presenter.runs) and not workspace._commits.busy)
+    yield "train-one"
+    runs = [run.uuid for run in workspace.presenter.runs.values()]
+    workspace.page.runs.choose(runs[:2])
+    stage.until(lambda: not workspace._commits.busy)
+    yield "train-compared"
+    workspace.presenter._show_progress("epoch 3 of 16, about 4 min left")
+    workspace.page.form.divide.setChecked(True)
+    stage.until(lambda: not workspace._commits.busy)
+    yield "train-leakage"
+    workspace.page.form.divide.setChecked(False)
+
+
+def attended(stage: Stage) -> Iterator[str]:
+    """A trial on devices: set the scene, hand the piece over, say the outcome."""
+    main, bench = stage.main, stage.bench
+    page = main.workspaces["stack"].page
+    main.go("stack")
+    page.run.show_devices(True)
+    bench.tell_start()
+    bench.set_state(RunState.RUNNING, trial=1, trials=3, probe=0, phase="", asks="set the scene")
+    bench.hub.publish(SetUpAwaited(0.0, "pot", "short", (6.2, -3.4), holds=False))
+    stage.live(0.0)
+    yield "stack-set-the-scene"
+    bench.set_state(RunState.RUNNING, asks="a hand at the jaws")
+    bench.hub.publish(HandOverAwaited(0.0, "pot", gives=True))
+    stage.live(0.0)
+    yield "stack-hand-over"
+    bench.tell_probe(1, (4.6, 2.0), -0.4)
+    bench.tell_probe(2, (2.1, 0.9), 1.6)
+    pot = bench.catalogue.piece("pot")
+    bench.set_state(RunState.RUNNING, asks="say the outcome")
+    bench.hub.publish(OutcomeAwaited(9.0, *judged(pot, side_n=0.3, left_n=0.1, holding=False)))
+    stage.live(0.0)
+    yield "stack-say-the-outcome"
+    why = "Void: the bottom was put in the wrong place."
+    bench.hub.publish(TrialFinished(9.0, 1, 8, Outcome.ABORTED, why, 2, None, None))
+    bench.tell_finish()
+    bench.set_state(RunState.IDLE, trial=0, probe=0, phase="", asks="")
+    stage.live(0.0)
+    yield "stack-void"
+    page.run.show_devices(False)
+
+
+def sheets(stage: Stage, folder: Path) -> Iterator[str]:
+    """Connect panel, limits, calibration wizard."""
+    main, bench = stage.main, stage.bench
+    main.go("operate")
+    devices, _ = scripted()
+    devices["gripper"].fails_at = "configure"
+    connection = Connection(devices)
+    bench.name, facts = "Bench 2", bench.facts
+    bench.facts = BenchFacts(mode="hardware")
+    panel = ConnectPresenter(bench, connection, main.window, main.cards, main.panels.limits)
+    panel.open()
+    yield "connect-closed"
+    connection.begin()
+    stage.until(lambda: not connection.busy)
+    panel.draw(at_once=True)
+    yield "connect-failed"
+    panel.sheet.close()
+    connection.close()
+    bench.name, bench.facts = "", facts
+    main.actions.action("limits").trigger()
+    yield "limits"
+    main.panels.limits.sheet.edit.click()
+    yield "limits-unlocked"
+    main.panels.limits.sheet.close()
+    bench.calibrations = CalibrationStore(folder / "calibrations", "simulated")
+    wizard = CalibratePresenter(bench, main.theme, main.window, main.cards)
+    wizard.open()
+    stage.settle()
+    wizard.draw(at_once=True)
+    yield "calibrate"
+    wizard._measured["payload"] = PAYLOAD
+    wizard.draw(at_once=True)
+    yield "calibrate-measured"
+    assert wizard.sheet is not None
+    wizard._choose(1)
+    wizard.draw(at_once=True)
+    yield "calibrate-board"
+    wizard.sheet.close()
+    bench.calibrations = None
+
+
+def pauses(stage: Stage) -> Iterator[str]:
+    """A full disk, and the question before the window closes."""
+    main, bench = stage.main, stage.bench
+    main.go("collect")
+    bench.set_state(RunState.PAUSED, text=FULL.what)
+    bench.hub.publish(Paused(0.0, FULL))
+    stage.live(0.0)
+    yield "collect-disk-full"
+    main.cards.clear(main.cards.codes)
+    main.go("stack")
+    bench.set_state(RunState.RUNNING, trial=1, trials=3, probe=1, phase="press")
+    main.window.close()
+    stage.settle()
+    yield "quit-question"
+    main.cards.withdraw()
+    bench.set_state(RunState.IDLE, trial=0, trials=0, probe=0, phase="")

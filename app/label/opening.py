@@ -9,7 +9,7 @@ from pathlib import Path
 from app.label.prelabel import Prelabeller
 from backend.assembly import model_in_use
 from backend.catalogue.dataset import Dataset
-from backend.catalogue.writer_lock import DatasetInUseError
+from backend.catalogue.writer_lock import NotWritableError
 from backend.core.faults import InputError
 from backend.learning.registry import Registry
 from backend.objects.catalogue import Catalogue, load_catalogue
@@ -33,7 +33,7 @@ def opener(folder: Path, person: str) -> Callable[[], Opened]:
         read_only = ""
         try:
             dataset = Dataset.open(folder, person=person)
-        except DatasetInUseError as error:
+        except NotWritableError as error:
             dataset, read_only = Dataset.open(folder, write=False), str(error.what)
         if not read_only and not dataset.writable:
             read_only = "The dataset was written by a newer version."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 import time
 from collections.abc import Iterator, Sequence
@@ -41,7 +42,7 @@ class Database:
         """
         if not write and not path.is_file():
             raise InputError("There is no catalogue.", str(path), "Name the folder of a dataset.")
-        mode = "rwc" if write else "ro"
+        mode = "rwc" if write else _looking(path)
         connection: sqlite3.Connection | None = None
         try:
             connection = _connect(path, mode)
@@ -157,6 +158,21 @@ def _connect(path: Path, mode: str) -> sqlite3.Connection:
     connection.execute("PRAGMA foreign_keys = ON")
     connection.execute("PRAGMA synchronous = FULL")
     return connection
+
+
+def _looking(path: Path) -> str:
+    """Return how SQLite may look at a catalogue: beside a WAL it makes files, if it can."""
+    if os.access(path.parent, os.W_OK):
+        return "ro"
+    wal = path.with_name(f"{path.name}-wal")
+    if wal.is_file() and wal.stat().st_size:
+        raise InputError(
+            "The catalogue was not closed, and its folder cannot be written.",
+            str(path),
+            "Copy the dataset to a disk that can be written, and open it there.",
+        )
+    # Nobody can write it: it may be read without the files that writers would need.
+    return "ro&immutable=1"
 
 
 def _examine(connection: sqlite3.Connection, path: Path) -> int:

@@ -19,7 +19,7 @@ from backend.catalogue.findings import Store, sentences
 from backend.catalogue.geometry import GeometryStore
 from backend.catalogue.journal import Journal
 from backend.catalogue.recovery import reconcile
-from backend.catalogue.writer_lock import WriterLock
+from backend.catalogue.writer_lock import NotWritableError, WriterLock
 from backend.core.faults import InputError
 
 REBUILT = ".rebuilt.db"
@@ -65,7 +65,8 @@ def rebuild(folder: Path, *, replace: bool, person: str = "") -> Rebuilt:
     """Make a new catalogue beside the old one and compare them; ``replace`` puts it in its place.
 
     The old one goes to the quarantine then. Nobody may have the dataset open. Raises
-    ``InputError`` if the old one cannot be read and ``replace`` is not asked for.
+    ``InputError`` if the old one cannot be read and ``replace`` is not asked for, or if the folder
+    cannot be written.
     """
     readable = _settle(folder, person)
     if not readable and not replace:
@@ -96,8 +97,9 @@ def _settle(folder: Path, person: str) -> bool:
     try:
         with Dataset.open(folder, create=False, person=person) as dataset:
             return not dataset.labels.frozen
+    except NotWritableError:
+        raise
     except InputError:
-        # Another writer is refused again by the caller, by name.
         return False
 
 

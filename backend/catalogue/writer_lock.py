@@ -30,7 +30,23 @@ class Writer:
         return f"{self.person} (process {self.pid} on {self.host}, since {self.since})"
 
 
-class DatasetInUseError(InputError):
+class NotWritableError(InputError):
+    """The dataset cannot be opened to write, but to look at."""
+
+
+class ReadOnlyFolderError(NotWritableError):
+    """The folder of the dataset cannot be written at all."""
+
+    def __init__(self, folder: Path, error: OSError) -> None:
+        super().__init__(
+            f"The dataset cannot be written: {error.strerror or error}.",
+            str(folder),
+            "Make its folder and disk writable, or copy it to a disk that is; looking, verifying "
+            "and exporting do without.",
+        )
+
+
+class DatasetInUseError(NotWritableError):
     """Another process (or another part of this one) writes the dataset; ``holder`` says who."""
 
     def __init__(self, folder: Path, holder: Writer | None) -> None:
@@ -51,11 +67,16 @@ class WriterLock:
 
     @classmethod
     def take(cls, folder: Path, person: str = "") -> Self:
-        """Lock ``folder`` for ``person``; raises ``DatasetInUseError`` naming the holder."""
+        """Lock ``folder`` for ``person``.
+
+        Raises ``DatasetInUseError`` naming the holder, or ``ReadOnlyFolderError``.
+        """
         try:
             descriptor = lock_file(folder / NAME)
         except BlockingIOError:
             raise DatasetInUseError(folder, holder(folder)) from None
+        except OSError as error:
+            raise ReadOnlyFolderError(folder, error) from error
         now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S")
         me = Writer(person or _account(), os.getpid(), socket.gethostname(), now)
         os.ftruncate(descriptor, 0)

@@ -144,8 +144,15 @@ def _begin(out: Path) -> Path:
         if not ((part / MARK).is_file() or (part / manifest.NAME).is_file()):
             raise InputError("This is no interrupted export.", str(part), "Move it away.")
         shutil.rmtree(part)
-    part.mkdir(parents=True)
-    (part / MARK).touch()
+    try:
+        part.mkdir(parents=True)
+        (part / MARK).touch()
+    except OSError as error:
+        raise InputError(
+            f"Nothing can be written there: {error.strerror or error}.",
+            str(part),
+            "Name a folder on a disk with room that can be written.",
+        ) from error
     return part
 
 

@@ -12,7 +12,8 @@ from contextlib import contextmanager, suppress
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.run_folder import LiveRun
 from backend.catalogue.training_set import is_dataset
-from backend.catalogue.writer_lock import DatasetInUseError
+from backend.catalogue.writer_lock import NotWritableError
+from backend.core.faults import InputError
 from backend.learning.checkpoint import load_card
 from backend.learning.job import Cancelled, Epoch, Finished, Loaded, TrainingJob
 from backend.learning.metrics import calibration_error
@@ -73,12 +74,19 @@ def recorded(job: TrainingJob, say: Callable[[str], None]) -> Iterator[LiveRun |
     if not is_dataset(job.data):
         yield None
         return
-    with Dataset.open(job.data, create=False, write=False) as dataset:
-        run = begin_training(dataset, job)
+    try:
+        with Dataset.open(job.data, create=False, write=False) as dataset:
+            run = begin_training(dataset, job)
+    except OSError as error:
+        raise InputError(
+            f"No run can be kept there: {error.strerror or error}.",
+            str(job.data),
+            "Make room, or give the account the right to write there.",
+        ) from error
     try:
         with run:
             yield run
     finally:
-        with suppress(DatasetInUseError), Dataset.open(job.data, create=False) as dataset:
+        with suppress(NotWritableError), Dataset.open(job.data, create=False) as dataset:
             for notice in dataset.notices:
                 say(notice)

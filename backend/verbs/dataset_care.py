@@ -36,14 +36,14 @@ def verify(args: argparse.Namespace, folder: Path, screen: Screen) -> int:
     """Read every file, check every label operation, and note what is damaged; 1 if anything is."""
     from backend.catalogue.dataset import Dataset
     from backend.catalogue.recovery import examine, reconcile
-    from backend.catalogue.writer_lock import DatasetInUseError
+    from backend.catalogue.writer_lock import NotWritableError
 
     try:
         with Dataset.open(folder, create=False) as dataset:
             for notice in dataset.notices:
                 screen.say(notice)
             found, count = reconcile(dataset.store, whole=True), len(dataset.episodes())
-    except DatasetInUseError as error:
+    except NotWritableError as error:
         with Dataset.open(folder, create=False, write=False) as dataset:
             found, count = list(examine(dataset.store, whole=True)), len(dataset.episodes())
         screen.say(f"{error.what} It is looked at only; nothing is noted there.")

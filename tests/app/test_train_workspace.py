@@ -1,5 +1,7 @@
 """A person trains a tiny model in the window, compares, promotes and rolls back."""
 
+import os
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -13,6 +15,7 @@ from app.error_hooks import ErrorBox
 from backend.learning.registry import Registry
 from backend.learning.training_runs import training_runs
 from backend.runs.store import models_folder
+from tests.app.stand_in import StandInBench
 from tests.app.tiny_packs import EPISODES, write_tiny_packs
 
 KEY, CTRL, SHIFT = Qt.Key, Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
@@ -216,6 +219,43 @@ def test_a_killed_child_gives_a_card_and_the_window_lives(desk):
     assert desk.page.form.start.isEnabled()
     assert desk.page.form.resume.isEnabled()
     desk.main.pump.tick()
+
+
+@pytest.mark.slow
+def test_operate_shows_every_frame_while_a_training_runs(desk):
+    """Frames due are those of the hand-wound clock, frames made those that were painted.
+
+    The pump keeps to its budget by the processor time of this thread: other work does not count.
+    """
+    main, bench = desk.main, StandInBench()
+    main.attach(bench)
+    desk.tiny(epochs=100_000)
+    desk.press(KEY.Key_Return, CTRL)
+    desk.until(lambda: len(desk.presenter._epochs_s) >= 1)
+    child = desk.presenter.thread._training._child._child
+    if os.name == "posix":
+        behind = os.getpriority(os.PRIO_PROCESS, child.pid) - os.getpriority(os.PRIO_PROCESS, 0)
+        assert behind == 10, "a training stands behind everything else"
+    main.go("operate")
+    views = main.workspaces["operate"].page.tactile.values()
+    main.pump._now_s = time.thread_time
+    epochs, due, spent_s = len(desk.presenter._epochs_s), 0, []
+    before = [view.paints for view in views]
+    # For two seconds of the bench, and as long as it takes for two epochs to be told meanwhile.
+    while due < 50 or len(desk.presenter._epochs_s) < epochs + 2:
+        bench.turn(0.04)
+        begun_s = time.thread_time()
+        for _ in range(2 + due % 2):
+            # 40 ms of the bench are two and a half ticks of the pump.
+            main.pump.tick()
+            QApplication.processEvents()
+        spent_s.append(time.thread_time() - begun_s)
+        due += 1
+        assert due < 20_000, "no epoch came"
+    made = [view.paints - paints for view, paints in zip(views, before, strict=True)]
+    assert min(made) >= 0.96 * due, f"{made} of {due}"
+    # Painted 25 times a second the window's thread needs less than that second.
+    assert sorted(spent_s)[len(spent_s) // 2] < 0.040
 
 
 @pytest.mark.slow

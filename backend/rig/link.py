@@ -32,6 +32,8 @@ START_S = 20.0
 ORDER_S = 60.0
 """Longer than any order takes; a rig that dies ends them all at once."""
 END_S = 6.0
+SETTLE_S = 1.0
+"""An arm that has just been connected tells its place within a few cycles."""
 
 
 class RigMotion(CommandedMotion):
@@ -142,10 +144,10 @@ class RigLink:
         )
         if not self._greeting.came.wait(START_S):
             raise FaultError(NO_START)
+        if self.hello.get("kind") == "refused":
+            raise read_error(self.hello["error"])
         if self.lost is not None:
             raise FaultError(self.lost)
-        if self.hello["kind"] == "refused":
-            raise read_error(self.hello["error"])
         self._thread = threading.Thread(
             target=self._keep_time, args=(memory, ended), name="rig link", daemon=True
         )
@@ -208,12 +210,17 @@ class RigLink:
             self._channel.say({"kind": "cancel"})
 
     def settle(self) -> None:
-        """Forget the positions so far: they belong to no connection."""
+        """Forget the positions so far, which belong to no connection, and wait for the next."""
         memory = self._memory
+        if memory is None:
+            return
         with self._copying:
-            if memory is not None:
-                self._cursors[1] = memory.poses.count
+            self._cursors[1] = memory.poses.count
             self.poses.clear()
+            before = self.poses.count
+        for _ in range(round(SETTLE_S / BEAT_S)):
+            if self.poses.count > before or self._ending.wait(BEAT_S):
+                return
 
     def row(self, device: str) -> Mapping[str, Any]:
         """Return how a device stands, empty while there is no rig."""
@@ -332,7 +339,7 @@ class RigLink:
             return
         self.lost = fault
         self._give_up(fault)
-        if self._greeting.message:
+        if self.hello.get("kind") == "hello":
             self._interlock.raise_fault(fault)
         self._greeting.came.set()
 

@@ -5,7 +5,6 @@ Every row is a positive comparison, so that NaN and what is missing refuse, each
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -22,7 +21,7 @@ from backend.devices.putting_back import jig_refusal
 
 STILL_S = 0.2
 OLD_S = 0.05
-"""A wrench older than this, beyond the latency of its sensor, is no evidence."""
+"""A wrench older than this is no evidence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +60,7 @@ def _rows(right: Right, m: Measured) -> Iterator[tuple[str, str]]:
     if not 0 <= m.moved_mm <= STATIONARY_MM:
         yield "RIG-ARM-MOVING", "The rig measures that the arm is not standing still."
     if isinstance(right, ReleaseEvidence):
-        yield from _pressed_rows(m, right.wrench_age_limit_s)
+        yield from _pressed_rows(m)
 
 
 def _ready_rows(m: Measured) -> Iterator[tuple[str, str]]:
@@ -74,9 +73,8 @@ def _ready_rows(m: Measured) -> Iterator[tuple[str, str]]:
         yield "RIG-WIDTH", f"The jaws moved by {change_mm:.2f} mm since the piece was gripped."
 
 
-def _pressed_rows(m: Measured, late_s: float) -> Iterator[tuple[str, str]]:
-    most_s = max(late_s, OLD_S) if math.isfinite(late_s) else OLD_S
-    if not 0 <= m.wrench_age_s <= most_s:
+def _pressed_rows(m: Measured) -> Iterator[tuple[str, str]]:
+    if not 0 <= m.wrench_age_s <= OLD_S:
         yield "RIG-WRENCH-OLD", "The rig has no fresh wrench."
     if not UNLOADED_N[0] <= m.press_n <= UNLOADED_N[1]:
         yield (

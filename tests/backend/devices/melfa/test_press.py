@@ -177,3 +177,40 @@ def test_the_detector_knows_a_swing_from_a_press():
     ramp = np.linspace(0.0, 20.0, 300)
     noise = np.random.default_rng(1).normal(0.0, 0.1, 300)
     assert not any(detector.feed(0.0035 * k, f) for k, f in enumerate(ramp + noise))
+
+
+def ended_by(motion):
+    with pytest.raises(FaultError) as raised:
+        motion.result()
+    return raised.value.fault.code
+
+
+def test_a_wrist_that_falls_silent_on_the_way_down_ends_the_descent():
+    rig = ready(8.0)
+    motion = rig.arm.press(PRESS)
+    rig.rest(0.2)
+    rig.wires.also = rig.wires.clock.wind
+    silent_s, here_mm = rig.wires.clock.now_s(), rig.true_mm[2]
+    finish(rig, motion)
+    assert ended_by(motion) == "FT-STALE"
+    assert rig.wires.clock.now_s() - silent_s <= 0.105
+    rig.rest(0.3)
+    assert here_mm - rig.true_mm[2] == pytest.approx(0.2, abs=0.05)
+
+
+def test_in_contact_the_arm_stands_without_a_wrench_and_then_draws_back():
+    rig = ready(8.0)
+    motion = rig.arm.press(PRESS)
+    rig.rest(1.2)
+    assert motion.onset_s is not None
+    rig.wires.also = rig.wires.clock.wind
+    silent_s = rig.wires.clock.now_s()
+    finish(rig, motion)
+    assert ended_by(motion) == "FT-STALE"
+    assert rig.wires.clock.now_s() - silent_s <= 0.105
+    rig.rest(0.05)
+    stood_mm = rig.true_mm[2]
+    rig.rest(0.1)
+    assert rig.true_mm[2] == pytest.approx(stood_mm, abs=0.01)
+    rig.rest(0.6)
+    assert rig.true_mm[2] == pytest.approx(stood_mm + 2.0, abs=0.05)

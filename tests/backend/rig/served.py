@@ -1,0 +1,120 @@
+"""Emulated arm, gripper and wrist sensor on loopback, and a link to a rig process that drives them.
+
+As a program (settings as its argument) it is a backend that moves the arm until it is killed.
+"""
+
+import sys
+import threading
+import time
+
+import numpy as np
+
+from backend.config.hardware import HardwareSettings
+from backend.core.faults import FaultError
+from backend.core.flow import Pose
+from backend.core.stream import SampleStream
+from backend.devices.interlock import Interlock
+from backend.devices.melfa.orders import Orders
+from backend.emulators.dynpick import EmulatedDynpick
+from backend.emulators.front import TcpFront
+from backend.emulators.loads import hanging, noisy
+from backend.emulators.melfa import EmulatedMelfa, MelfaFront
+from backend.emulators.melfa_controller import READY_RAD
+from backend.emulators.wsg import EmulatedWsg
+from backend.rig.link import RigLink
+from backend.rig.remote import RigArm, RigForceTorque, RigGripper
+from tests.backend.devices.emulated_arm import settings as melfa_settings
+
+TOP = Pose(0.0, 0.0, 160.0)
+STALLED = ("MXT-LOST", "MXT-START", "PRESS-VOID", "BACKEND-SILENT", "CONTROL-LOST", "LEASE-LAPSED")
+"""What a machine that stands still for a while does to real time: tried again."""
+
+
+class Served:
+    """The three emulated devices; ``settings`` lead a driver to them."""
+
+    def __init__(self):
+        # A machine that is busy with other tests may stall: the controller waits for it.
+        wanted = melfa_settings(servo_delay_s=0.05, mxt={"mxttout": 2000})
+        start = Orders(wanted).placing.joints(np.array([0.0, 0.0, 60.0]), READY_RAD)
+        self.arm = MelfaFront(EmulatedMelfa(wanted, start_rad=start))
+        self.wrist = TcpFront(EmulatedDynpick(noisy(hanging)))
+        self.gripper = TcpFront(EmulatedWsg())
+        host, port = self.gripper.address
+        self.settings = HardwareSettings.model_validate(
+            {
+                "melfa": self.arm.settings.model_dump(),
+                "wsg": {"host": host, "port": port},
+                "ft": {"driver": "dynpick", "address": self.wrist.url},
+            }
+        )
+        for front in (self.arm, self.wrist, self.gripper):
+            front.start()
+
+    def close(self):
+        for front in (self.arm, self.gripper, self.wrist):
+            front.close()
+
+
+class Backend:
+    """Link and devices with an interlock whose lease is renewed on a thread."""
+
+    def __init__(self, settings):
+        self.interlock = Interlock()
+        samples, poses = SampleStream("force_torque", 6, 8192), SampleStream("arm", 3, 8192)
+        begun_s = time.monotonic()
+        self.now_s = now_s = lambda: time.monotonic() - begun_s
+        self.link = RigLink(settings, now_s, samples, poses, self.interlock)
+        open_ones = set()
+        self.wrist = RigForceTorque("force_torque", self.link, now_s, open_ones)
+        self.gripper = RigGripper("gripper", self.link, now_s, open_ones)
+        self.arm = RigArm("arm", self.link, now_s, open_ones)
+        self._over = threading.Event()
+        self._renewing = threading.Thread(target=self._renew, daemon=True)
+        self._renewing.start()
+
+    def _renew(self):
+        while not self._over.wait(0.02):
+            self.interlock.renew_lease(self.now_s())
+
+    def connect(self):
+        for device in (self.wrist, self.gripper, self.arm):
+            device.connect(10.0, threading.Event())
+
+    def moving(self):
+        """Connect and rise; return the motion once the arm is on its way."""
+        for _ in range(10):
+            try:
+                self.connect()
+                self.interlock.renew_lease(self.now_s())
+                motion = self.arm.move_to(TOP, 10.0)
+                while not self.arm.pose(1.0).z_mm > 61.0:
+                    if motion.done:
+                        motion.result()
+                    self._over.wait(0.01)
+            except FaultError as error:
+                if error.fault.code not in STALLED:
+                    raise
+                self.disconnect()
+                self.interlock.reset()
+            else:
+                return motion
+        raise AssertionError("this machine stalls all the time")
+
+    def disconnect(self):
+        for device in (self.arm, self.gripper, self.wrist):
+            device.close()
+
+    def close(self):
+        self.disconnect()
+        self.link.close()
+        self._over.set()
+        self._renewing.join()
+
+
+if __name__ == "__main__":
+    backend = Backend(HardwareSettings.model_validate_json(sys.argv[1]))
+    backend.moving()
+    sys.stdout.write(f"{backend.link.hello['pid']}\n")
+    sys.stdout.flush()
+    threading.Event().wait()

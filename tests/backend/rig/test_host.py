@@ -1,0 +1,197 @@
+"""The rig on a hand-wound clock: the real driver of an emulated arm, and what stops it."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from backend.core.facts import FaultRaised
+from backend.core.faults import FaultError, RefusedError
+from backend.devices.protocols import DeviceState, GripStatus, RobotMode
+from backend.rig.flight import FlightRecorder
+from backend.rig.link import GONE
+from tests.backend.rig.hosted import Hosted
+
+
+@pytest.fixture
+def rig():
+    made = Hosted()
+    yield made.connected()
+    made.close()
+
+
+def reason(call):
+    with pytest.raises(RefusedError) as caught:
+        call()
+    return caught.value.reason
+
+
+def moved_mm(rig, seconds):
+    """How far the command goes in so long."""
+    before = rig.arm.describe()["z_mm"]
+    rig.rounds(seconds)
+    return abs(rig.arm.describe()["z_mm"] - before)
+
+
+def test_an_order_moves_and_its_end_is_told_after_its_beginning(rig):
+    target = (0.0, 0.0, 61.0, 0.0, 0.0, 0.0)
+    motion = rig.order("arm.move_to", target=target, speed_mm_s=20.0, turn_rad_s=0.1)
+    rig.rounds(1.0, until=lambda: rig.told("ended"))
+    assert rig.fault_of(motion) is None
+    kinds = [m["kind"] for m in rig.said if m.get("motion") == motion]
+    assert kinds == ["reply", "ended"]
+    t_s, values, _ = rig.memory.poses.since(0)
+    assert values[-1, 2] == pytest.approx(61.0, abs=0.05)
+    assert t_s[-1] == pytest.approx(rig.clock.now_s(), abs=0.01)
+    rig.rounds(0.1)
+    state = rig.memory.seen()
+    assert state["arm"]["status"][0] == RobotMode.READY.value
+    assert state["gripper"]["grip"] == [30.0, 10.0, True]
+
+
+def test_a_backend_that_falls_silent_leaves_an_arm_that_stands(rig):
+    motion = rig.lift()
+    assert moved_mm(rig, 0.1) > 0.5
+    rig.beats = False
+    rig.rounds(0.26)
+    assert rig.fault_of(motion).code == "BACKEND-SILENT"
+    assert [m["fault"]["code"] for m in rig.told("fault")] == ["BACKEND-SILENT"]
+    rig.rounds(0.1)
+    assert moved_mm(rig, 0.1) == 0.0
+    # The stream itself goes on: the arm was held, not switched off.
+    assert rig.arm.status().robot_mode is RobotMode.READY
+    rig.beats = True
+    rig.rounds(0.02)
+    assert reason(rig.lift) == "FAULT"
+    rig.host.take({"kind": "reset", "stops": 0, "faults": 1})
+    rig.lift()
+    assert moved_mm(rig, 0.1) > 0.5
+
+
+def test_a_lease_that_is_not_renewed_ends_the_motion_and_nothing_else(rig):
+    motion = rig.lift()
+    rig.rounds(0.05)
+    rig.leased = False
+    rig.rounds(0.27)
+    assert rig.fault_of(motion).code == "LEASE-LAPSED"
+    assert rig.told("fault") == []
+    rig.rounds(0.1)
+    assert moved_mm(rig, 0.1) == 0.0
+    assert reason(rig.lift) == "NO-LEASE"
+    rig.leased = True
+    rig.lift()
+
+
+def test_stop_ends_the_stream_in_the_same_round(rig):
+    rig.lift()
+    rig.rounds(0.05)
+    sent = len(rig.arms.wires.packets)
+    rig.stop(1)
+    rig.rounds(0.02)
+    assert rig.log == ["stop gripper"]
+    ends = [packet for _, packet in rig.arms.wires.packets[sent:]]
+    assert len(set(ends)) == 1
+    assert rig.arm.describe()["stream"] == "idle"
+    assert reason(rig.lift) == "STOPPED"
+
+
+def test_without_a_backend_the_rig_stops_the_arm_and_wants_to_leave(rig):
+    rig.lift()
+    rig.rounds(0.05)
+    rig.host.leave()
+    assert rig.rounds(0.004)
+    assert "stop gripper" in rig.log
+    assert rig.arm.describe()["stream"] in ("ending", "idle")
+
+
+def test_the_rig_refuses_what_is_past_the_limits_whoever_asks(rig):
+    def move(z_mm, speed_mm_s=20.0):
+        target = (0.0, 0.0, z_mm, 0.0, 0.0, 0.0)
+        return rig.order("arm.move_to", target=target, speed_mm_s=speed_mm_s, turn_rad_s=0.1)
+
+    assert reason(lambda: move(-1.0)) == "HEIGHT"
+    assert reason(lambda: move(math.nan)) == "HEIGHT"
+    assert reason(lambda: move(80.0, 51.0)) == "SPEED"
+    assert reason(lambda: move(80.0, math.nan)) == "SPEED"
+    jog = {"velocity_mm_s": (0.0, 0.0, 60.0), "for_s": 0.1, "turn_rad_s": (0.0, 0.0, 0.0)}
+    assert reason(lambda: rig.order("arm.jog", **jog)) == "SPEED"
+    press = {
+        "depth_mm": 3.0, "ramp_s": 1.5, "hold_s": 2.0, "approach_mm_s": 2.0, "threshold_n": 1.0,
+        "max_travel_mm": 3.0, "stiffness_n_mm": (30.0, 30.0, 15.0),
+    }  # fmt: skip
+    assert reason(lambda: rig.order("arm.press", **press)) == "PRESS-FORCE"
+    with pytest.raises(ValueError, match="no order"):
+        rig.order("arm.fly")
+    assert rig.arm.status().robot_mode is RobotMode.READY
+
+
+def test_nothing_moves_while_the_wrist_is_silent(rig):
+    rig.arms.wires.also = rig.clock.wind
+    rig.rounds(0.32)
+    assert reason(rig.lift) == "FT-STALE"
+
+
+def test_a_held_piece_is_let_go_by_a_right_only(rig):
+    rig.rounds(0.3)
+    plain = {"width_mm": 50.0, "speed_mm_s": 10.0}
+    assert reason(lambda: rig.order("gripper.open_to", **plain)) == "HOLDING"
+    hand = {"right": "ByHand", "evidence": {"confirmed": True}, **plain}
+    rig.order("gripper.open_held", **hand)
+    assert rig.log == ["open to 50.0"]
+    rig.lift()
+    rig.rounds(0.1)
+    assert reason(lambda: rig.order("gripper.open_held", **hand)) == "RIG-ARM-MOVING"
+    jig = {"from_jig_mm": 0.0, "moved_mm": 0.0, "force_n": 0.0, "holding": True}
+    back = {"right": "JigEvidence", "evidence": jig, **plain}
+    rig.order("arm.halt")
+    rig.rounds(0.3)
+    rig.gripper.grip_status = GripStatus(30.4, 10.0, holding=True)
+    assert reason(lambda: rig.order("gripper.open_held", **back)) == "RIG-WIDTH"
+    rig.wrist.state = DeviceState.FAULT
+    assert reason(lambda: rig.order("gripper.open_held", **back)) == "RIG-DEVICES"
+    assert rig.log == ["open to 50.0"]
+
+
+def test_a_press_tells_its_contact_and_what_it_still_feels(rig):
+    rig.arms.contact = lambda pivot: np.array([0.0, 0.0, 8.0 * max(59.5 - pivot[2], 0.0)])
+    rig.rounds(0.3)
+    press = rig.order(
+        "arm.press", depth_mm=0.5, ramp_s=0.2, hold_s=0.4, approach_mm_s=2.0, threshold_n=1.0,
+        max_travel_mm=3.0, stiffness_n_mm=(30.0, 30.0, 15.0),
+    )  # fmt: skip
+    rig.rounds(2.0, until=lambda: rig.told("ended"))
+    assert rig.fault_of(press) is None
+    (felt,) = rig.told("felt")
+    assert 0.0 < felt["onset_s"] < felt["detected_s"]
+    measured = rig.host.measured()
+    assert measured.press_n == pytest.approx(8.0 * (59.5 - rig.arms.true_mm[2]), abs=0.3)
+    assert (measured.holding, measured.devices_ready) == (True, True)
+
+
+def test_the_last_seconds_are_written_beside_the_journal(rig, tmp_path):
+    recorder = FlightRecorder(lambda: rig.memory, lambda: tmp_path)
+    rig.lift()
+    rig.rounds(0.2)
+    rig.stop(1)
+    rig.rounds(0.02)
+    now_s = rig.clock.now_s()
+    recorder.note(FaultRaised(now_s, GONE))
+    head, *rest = map(json.loads, (tmp_path / "flight-1.jsonl").read_text().splitlines())
+    assert head["fault"]["code"] == "CONTROL-LOST"
+    assert [line["t_s"] for line in rest] == sorted(line["t_s"] for line in rest)
+    rounds = [
+        dict(zip(head["round"], line["round"], strict=True)) for line in rest if "round" in line
+    ]
+    assert rounds[-1]["command_z_mm"] > rounds[0]["command_z_mm"] + 1.0
+    assert sum("wrench" in line for line in rest) > 150
+    notes = [line["note"] for line in rest if "note" in line]
+    assert any("arm.move_to" in note for note in notes)
+    assert notes[-2:] == ["stop", "motion 1 ended: STOPPED"]
+
+
+def test_an_error_of_this_program_is_told_and_ends_no_thread(rig):
+    with pytest.raises(FaultError) as caught:
+        rig.order("arm.servo")
+    assert caught.value.fault.code == "RIG-ERROR"
+    rig.order("arm.servo", on=True)

@@ -245,6 +245,8 @@ class Stage:
         yield "stopped-and-fault"
         main.cards.card("STOPPED").more.click()
         yield "cards-unfolded"
+        main.cards.fold()
+        yield "cards-folded"
         main.reset()
         answers = (("Keep holding", list), ("Open and let it go", list))
         main.cards.ask(Question("A piece is held. Opening lets it go.", answers))

@@ -63,7 +63,9 @@ class Question:
 class FaultCard(QFrame):
     """One card; the same code again only counts."""
 
-    def __init__(self, text: CardText, on_button: Callable[[CardText], None]) -> None:
+    def __init__(
+        self, text: CardText, on_button: Callable[[CardText], None], on_fold: Callable[[], None]
+    ) -> None:
         super().__init__()
         self.text, self.count = text, 1
         self.setProperty("role", "fault")
@@ -77,6 +79,8 @@ class FaultCard(QFrame):
         self._on_button = on_button
         self.more = QPushButton()
         self.more.hide()
+        self.fold = self._button("Fold", on_fold)
+        self.fold.setToolTip("Make it small, to see the page below")
         self._arrange()
         self._show_count()
 
@@ -108,6 +112,7 @@ class FaultCard(QFrame):
         row = QHBoxLayout()
         row.addLayout(words, 1)
         row.addWidget(self.more)
+        row.addWidget(self.fold)
         row.addWidget(self._button("Details", self._toggle))
         row.addWidget(self._button("Copy", self._copy))
         last = "Reset" if self.text.reset else "Dismiss"
@@ -137,6 +142,32 @@ class FaultCard(QFrame):
         self._on_button(self.text)
 
 
+class _Strip(QFrame):
+    """The cards folded into one line: the first one's words, and how to have them back."""
+
+    def __init__(self, on_show: Callable[[], None], on_reset: Callable[[], None]) -> None:
+        super().__init__()
+        self.setProperty("role", "fault")
+        self._words = label("", "title")
+        self.show_all, self.reset = QPushButton("Show"), QPushButton("Reset")
+        self.reset.setProperty("role", "reset")
+        self.show_all.clicked.connect(on_show)
+        self.reset.clicked.connect(on_reset)
+        row = QHBoxLayout(self)
+        row.setContentsMargins(12, 4, 6, 4)
+        for widget in (self._words, self.show_all, self.reset):
+            row.addWidget(widget)
+        self.hide()
+
+    def show_first(self, text: CardText, count: int) -> None:
+        """Show the first of ``count`` cards."""
+        self._words.setText(f"{text.what} (+{count - 1})" if count > 1 else text.what)
+        self.show_all.setAccessibleName(f"Show: {text.what}")
+        self.reset.setAccessibleName(f"Reset: {text.what}")
+        self.reset.setVisible(text.reset)
+        self.show()
+
+
 class _Answer(QPushButton):
     """One answer: withdraws the question, then acts."""
 
@@ -159,9 +190,13 @@ class FaultCards(QWidget):
         self._cards: dict[str, FaultCard] = {}
         self._question: QFrame | None = None
         self._unfolded = False
+        self.folded = False
+        """Whether they are one line at the foot of the page: nothing else is covered."""
+        self._strip = _Strip(self._unfold_line, on_reset)
         self._column = QVBoxLayout(self)
         self._column.setContentsMargins(10, 8, 10, 0)
         self._column.setSpacing(6)
+        self._column.addWidget(self._strip)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
         self.hide()
 
@@ -191,7 +226,9 @@ class FaultCards(QWidget):
             old = [card.text.key for card in self._ranked() if not card.text.notice]
             if len(old) >= MAX_CARDS:
                 self._remove(old[-1])
-            card = FaultCard(text, self._pressed)
+            # What is new has to be read.
+            self.folded = False
+            card = FaultCard(text, self._pressed, self.fold)
             card.more.clicked.connect(self._unfold)
             self._cards[text.key] = card
         self._lay_out()
@@ -208,6 +245,8 @@ class FaultCards(QWidget):
             answer.setAccessibleName(f"{text}: {question.text}")
             row.addWidget(answer)
         self._question = frame
+        self.folded = False
+        self._lay_out()
         self._column.insertWidget(0, frame)
         self.show()
 
@@ -217,6 +256,11 @@ class FaultCards(QWidget):
             self._question.hide()
             self._question.deleteLater()
             self._question = None
+        self._lay_out()
+
+    def fold(self) -> None:
+        """Make all cards one line at the foot of the page."""
+        self.folded = True
         self._lay_out()
 
     def pass_on(self) -> None:
@@ -252,14 +296,23 @@ class FaultCards(QWidget):
         self._unfolded = not self._unfolded
         self._lay_out()
 
+    def _unfold_line(self) -> None:
+        self.folded = False
+        self._lay_out()
+
     def _lay_out(self) -> None:
-        """Show the first card, or all in their order while unfolded."""
+        """Show the first card, or all in their order while unfolded; or one line."""
         ranked = self._ranked()
         self._unfolded = self._unfolded and len(ranked) > 1
+        self.folded = self.folded and bool(ranked)
+        self.setProperty("folded", self.folded)
+        self._strip.hide()
+        if self.folded:
+            self._strip.show_first(ranked[0].text, len(ranked))
         for place, card in enumerate(ranked):
             self._column.removeWidget(card)
             self._column.addWidget(card)
-            card.setVisible(place == 0 or self._unfolded)
+            card.setVisible(not self.folded and (place == 0 or self._unfolded))
             card.more.setVisible(place == 0 and len(ranked) > 1)
         if len(ranked) > 1:
             text = "Fewer" if self._unfolded else f"{len(ranked) - 1} more"

@@ -81,6 +81,8 @@ class StackPage(LivePage):
     def show_trial(self, look: TrialLook | None) -> None:
         """Show what the operator is asked; a picture takes the place of the belief map."""
         self.trial.show_look(look)
+        if look is not None and look.yes:
+            self.decision.show_text(DecisionText("Your turn", "", "", look.title + "."))
         pictured = look is not None and look.scene is not None
         high = QSizePolicy.Policy.Expanding if pictured else QSizePolicy.Policy.Fixed
         self.trial.setSizePolicy(QSizePolicy.Policy.Preferred, high)

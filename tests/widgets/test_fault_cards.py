@@ -1,8 +1,10 @@
 """One card shows, STOP before all others; a refusal passes with the next order carried out."""
 
 import pytest
+from PySide6.QtWidgets import QWidget
 
 from widgets.fault_cards import STOPPED, CardText, FaultCards
+from widgets.on_top import OnTop
 
 
 @pytest.fixture
@@ -81,3 +83,28 @@ def test_notices_of_one_start_are_cards_of_their_own_and_none_makes_room(cards):
     assert cards.codes.count("DATASET") == 2
     cards.card("DATASET")._act()
     assert cards.codes.count("DATASET") == 1, "each is dismissed by itself"
+
+
+def test_folded_cards_lie_at_the_foot_until_something_new_comes(qtbot):
+    base, resets = QWidget(), []
+    qtbot.addWidget(base)
+    cards = FaultCards(lambda: resets.append(1))
+    on_top = OnTop(cards, base)
+    base.resize(1180, 630)
+    base.show()
+    cards.show_card(fault("FT-TRIP"))
+    qtbot.waitUntil(lambda: cards.width() == 1180 and cards.y() == 0)
+    cards.card("FT-TRIP").fold.click()
+    qtbot.waitUntil(lambda: cards.width() < 600 and cards.geometry().bottom() == 629)
+    assert shown(cards) == []
+    cards.show_card(fault("FT-TRIP"))
+    assert shown(cards) == [], "the same again was read already"
+    cards._strip.reset.click()
+    assert resets == [1]
+    cards.show_card(refused("LIMIT"))
+    assert shown(cards) == ["FT-TRIP"]
+    qtbot.waitUntil(lambda: cards.y() == 0 and cards.width() == 1180)
+    cards.fold()
+    cards._strip.show_all.click()
+    assert shown(cards) == ["FT-TRIP"]
+    del on_top

@@ -9,8 +9,13 @@ import pytest
 
 from backend.core.facts import OriginChecked, RunFinished
 from backend.dataset.contents import read_first
+from backend.runs.collected import Origin
+from backend.runs.motions import take_piece
+from backend.runs.origin_check import Check, check_origin
+from backend.runs.requests import SceneChoice
 from backend.simulation.conditions import true_offset_mm
 from tests.backend.brisk import PROBE, brisk_method
+from tests.backend.runs.blind_bench import BlindBench
 from tests.backend.runs.test_collect import collecting
 
 pytestmark = pytest.mark.slow
@@ -18,8 +23,23 @@ pytestmark = pytest.mark.slow
 LOW = brisk_method().model_copy(update={"probe": PROBE.model_copy(update={"start_height_mm": 1.0})})
 
 
-@pytest.mark.parametrize("off_mm", [(0.0, 0.0), (0.8, -1.3)])
-def test_the_felt_centre_is_where_the_bottom_is(tmp_path, off_mm) -> None:
+def test_an_origin_that_is_right_agrees() -> None:
+    blind = BlindBench(SceneChoice("pot", ("circle15",), seed=2), preset="quiet")
+
+    def grip_and_check(bench):
+        yield from take_piece(bench)
+        return (yield from check_origin(bench, Origin(0.0, 0.0, 0.1)))
+
+    check = blind.run(grip_and_check)
+    assert isinstance(check, Check)
+    assert check.agrees
+    assert np.abs(check.residual_mm - blind.centres_mm[0]).max() <= 0.15
+
+
+OFF_MM = (0.8, -1.3)
+
+
+def test_the_felt_centre_is_where_the_bottom_is(tmp_path) -> None:
     with collecting(tmp_path / "ds", method=LOW) as collected:
         truth = []
 
@@ -30,16 +50,16 @@ def test_the_felt_centre_is_where_the_bottom_is(tmp_path, off_mm) -> None:
                 truth.append(-true_offset_mm(np.zeros((1, 2)), holding.conditions)[0])
 
         collected.session.hub.subscribe(look)
-        collected.run(count=1, check_origin=True, origin_mm=off_mm)
+        collected.run(count=1, check_origin=True, origin_mm=OFF_MM)
         (fact,) = collected.of(OriginChecked)
         assert collected.of(RunFinished)[-1].ending == "finished"
-        error = np.array(fact.residual_mm) + off_mm - truth[0]
+        error = np.array(fact.residual_mm) + OFF_MM - truth[0]
         # The piece in the grasp is part of the truth here, so that only touch and arm remain.
         assert np.abs(error).max() <= 0.15
-        assert fact.agrees == (off_mm == (0.0, 0.0))
+        assert not fact.agrees
         path = collected.dataset.folder / collected.entries[0].path
         words = read_first(path).metadata["bench"]
-        assert json.loads(words["origin"])["origin_mm"] == list(off_mm)
+        assert json.loads(words["origin"])["origin_mm"] == list(OFF_MM)
         np.testing.assert_allclose(
             json.loads(words["origin_check"])["residual_mm"], fact.residual_mm
         )

@@ -30,6 +30,8 @@ from widgets.fault_cards import CardText, FaultCards
 from widgets.score_panel import WORDS
 
 MOST_RUNS = 200
+MOST_MEASURED = 500
+"""Rows of a longer list are all as high as its first: measuring 10,000 of them takes a second."""
 MOST_DESCRIBED = 50
 """So many of the newest runs say in the list what they were; older ones once they are opened."""
 
@@ -226,6 +228,7 @@ class ReviewPresenter:
         trials = self._page.trials
         trials.blockSignals(True)
         trials.clear()
+        trials.setUniformItemSizes(len(lines) > MOST_MEASURED)
         trials.addItems(lines)
         trials.setCurrentRow(chosen)
         trials.blockSignals(False)

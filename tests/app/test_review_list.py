@@ -9,6 +9,7 @@ from backend.core.facts import PhaseEntered, RunFinished, RunStarted, TrialFinis
 from backend.core.flow import Outcome
 from backend.runs.journal import NAME, Journal
 from tests.app.stand_in import StandInBench
+from widgets.wrapped_items import WrappedItems
 
 TIME = "2026-11-21  04:15:11 UTC"
 
@@ -194,3 +195,21 @@ def test_only_a_device_fault_before_the_release_keeps_a_trial_out_of_the_rate(ma
     assert "Not counted: 1 trial that a device fault ended before the release (FT-STALE)." in words
     rows = [page.trials.item(row).text() for row in range(page.trials.count())]
     assert ["not counted" in row for row in rows] == [False, False, True, False, False]
+
+
+@pytest.mark.parametrize(("rows", "most"), [(30, 1000), (10_000, 20)])
+def test_a_series_of_10000_episodes_does_not_measure_each_of_its_rows(
+    main, monkeypatch, rows, most
+):
+    trials, measured = main.workspaces["review"].page.trials, []
+    known = WrappedItems.sizeHint
+
+    def size_hint(self, option, index):
+        measured.append(index.row())
+        return known(self, option, index)
+
+    monkeypatch.setattr(WrappedItems, "sizeHint", size_hint)
+    main.workspaces["review"].presenter._fill([f"{n}.  draft, 1a2b3c4d" for n in range(rows)], -1)
+    trials.doItemsLayout()
+    assert 0 < len(measured) < most
+    assert trials.count() == rows

@@ -36,7 +36,7 @@ from app.speed import SpeedOverride
 from app.stop_key import StopKey
 from app.tour import Tour, stops_of
 from app.workspace import Command, Desk, Workspace
-from app.workspaces import FIRST, WORKSPACES
+from app.workspaces import FIRST, Workspaces
 from backend.core.facts import Fact
 from backend.core.hub import Mailbox
 from widgets.fault_cards import CardText, FaultCards
@@ -73,19 +73,19 @@ class TouchdownApp(QObject):
         self.bar = TopBar(self.theme, self.stop)
         self._speed = SpeedOverride(self.bar, self.say)
         desk = Desk(self.theme, self.cards, runs, self.say, self.go, self._show_keys, self.remember)
-        made = [make(desk) for make in WORKSPACES]
-        self.workspaces: dict[str, Workspace] = {ws.name: ws for ws in made}
-        self.window = MainWindow(self.theme, self.bar, self.cards, made)
+        self.workspaces = Workspaces(desk, settings.pages, self._place, self._warn)
+        self.window = MainWindow(self.theme, self.bar, self.cards, self.workspaces.all)
         self.window.may_close = self._may_close
         self._closing = Closing(self.cards, self.stop, self.window.close)
         self._arrival, self._mailbox = Arrival(), Mailbox()
         self._chips: ChipsPresenter | None = None
         self.inspect: InspectPresenter | None = None
-        self.actions = Actions(self.window, rows_of(self._commands(), made), settings.keys)
+        self.actions = Actions(
+            self.window, rows_of(self._commands(), self.workspaces.all), settings.keys
+        )
         self.dialogs = DeskDialogs(self.window, self.actions, self.go, self.remember)
         self.layouts = Layouts(
             settings_file.with_name("layouts.json"),
-            {ws.name: ws.columns for ws in made if ws.columns is not None},
             self.say,
             partial(self._disk_refused, "saving the layouts"),
         )
@@ -96,6 +96,11 @@ class TouchdownApp(QObject):
         self.toured, self.tour_due = settings.toured, False
         self.tour = Tour(self.theme, self.window, self._stops, self.go, self._tour_ended)
         self._wire_rail()
+        warning = f"{warning} {ignored_words(self.actions.refused)}".strip()
+        self._warn(warning, self.layouts.load(tuple(self.workspaces)))
+        front = settings.front if settings.front in self.workspaces else FIRST
+        # Under a style sheet its page would take twice as long.
+        self.workspaces[front]
         self.look.refit = self._refit
         self.look.dress()
         self.pump = Pump(self, self._pull, hold=self._hushed)
@@ -103,12 +108,7 @@ class TouchdownApp(QObject):
         self._stop_key = StopKey(self, self.stop, self._moving)
         application.installEventFilter(self._stop_key)
         self._show_connecting()
-        dropped = self._recall(settings)
-        self.go(settings.front if settings.front in self.workspaces else FIRST)
-        warning = f"{warning} {ignored_words(dropped)}".strip()
-        for notice in (warning, self.layouts.load()):
-            if notice:
-                self.cards.show_card(CardText("SETTINGS", notice, "", "", reset=False, notice=True))
+        self.go(front)
 
     # -- life -------------------------------------------------------------------------------------
 
@@ -123,8 +123,7 @@ class TouchdownApp(QObject):
         link.hub.subscribe(self._mailbox)
         self._chips = ChipsPresenter(link, self.bar)
         self.inspect = InspectPresenter(link, self.bar, self.window)
-        for ws in self.workspaces.values():
-            ws.attach(link)
+        self.workspaces.attach(link)
         self.window.show_bench(words_of(link))
         self.panels = BenchPanels(link, self.theme, self.window, self.cards)
         self.panels.open_connect()
@@ -155,8 +154,7 @@ class TouchdownApp(QObject):
         self.remember()
         self.layouts.remember()
         link, self.link = self.link, None
-        for ws in self.workspaces.values():
-            ws.close()
+        self.workspaces.close()
         if link is not None:
             link.close()
 
@@ -170,7 +168,7 @@ class TouchdownApp(QObject):
             front=self.window.front,
             keys=self.actions.changed,
             toured=self.toured,
-            pages={name: dict(ws.memory()) for name, ws in self.workspaces.items()},
+            pages=self.workspaces.memory(),
         )
         try:
             save_settings(self._settings_file, settings)
@@ -191,12 +189,13 @@ class TouchdownApp(QObject):
         """Bench seconds per wall second; 0 without a bench."""
         return self.link.pace if self.link is not None else 0.0
 
-    def _recall(self, settings: WindowSettings) -> list[str]:
-        dropped = list(self.actions.refused)
-        for name, memory in settings.pages.items():
-            if name in self.workspaces:
-                dropped += self.workspaces[name].recall(memory)
-        return dropped
+    def _place(self, ws: Workspace) -> None:
+        self.window.add_page(ws.name, ws.page)
+        self._warn(self.layouts.add(ws.name, ws.columns))
+
+    def _warn(self, *notices: str) -> None:
+        for text in filter(None, notices):
+            self.cards.show_card(CardText("SETTINGS", text, "", "", reset=False, notice=True))
 
     def _may_close(self) -> bool:
         return self._closing.may_close(self.link)
@@ -223,12 +222,12 @@ class TouchdownApp(QObject):
 
     def go(self, name: str) -> None:
         """Bring a workspace to the front; its keys come with it."""
-        front = self.window.front
+        front, coming = self.window.front, self.workspaces[name]
         if front and front != name:
             self.workspaces[front].leave()
         self.window.show_page(name)
         self.actions.enter(name)
-        self.workspaces[name].enter()
+        coming.enter()
 
     def _moving(self) -> bool:
         return self.link is not None and moving(self.link)
@@ -236,7 +235,7 @@ class TouchdownApp(QObject):
     def _commands(self) -> list[Command]:
         pages = [
             Command(ws.name, f"{ws.title} workspace", ws.key, partial(self.go, ws.name))
-            for ws in self.workspaces.values()
+            for ws in self.workspaces.all
         ]
         return [
             *pages,
@@ -309,8 +308,7 @@ class TouchdownApp(QObject):
 
     def _refit(self) -> None:
         self.window.fit_to_theme()
-        for ws in self.workspaces.values():
-            ws.fit_to_theme()
+        self.workspaces.fit_to_theme()
         self.tour.fit()
 
     def _show_keys(self) -> None:
@@ -361,8 +359,7 @@ class TouchdownApp(QObject):
         return True
 
     def _take(self, fact: Fact) -> None:
-        for ws in self.workspaces.values():
-            ws.take(fact)
+        self.workspaces.take(fact)
         if self.panels is not None:
             self.panels.calibrate.take(fact)
         note(fact)
@@ -370,13 +367,11 @@ class TouchdownApp(QObject):
 
     def _show_connecting(self) -> None:
         self.bar.pill.show_state(PillState("CONNECTING", "ring", "blue", "preparing the bench"))
-        for ws in self.workspaces.values():
-            ws.show_waiting("Connecting", "The bench is being prepared.")
+        self.workspaces.show_waiting("Connecting", "The bench is being prepared.")
 
     def _connect_failed(self, error: Exception) -> None:
         self.bar.pill.show_state(PillState("NO DEVICES", "ring", "grey"))
-        for ws in self.workspaces.values():
-            ws.show_waiting("No bench", "Nothing is connected.")
+        self.workspaces.show_waiting("No bench", "Nothing is connected.")
         self.cards.show_card(failed_card(error))
 
     def _draw_frame(self) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -15,31 +15,40 @@ Entry = tuple[str, Callable[[], None]]
 
 
 class Layouts:
-    """``columns`` by workspace. ``tell`` shows one sentence; ``failed`` takes a disk's refusal."""
+    """Of the workspaces that have a page; ``tell`` shows one sentence, ``failed`` a disk's refusal.
+
+    What is remembered of a workspace is judged, and shown, when its page comes.
+    """
 
     def __init__(
         self,
         path: Path,
-        columns: Mapping[str, Columns],
         tell: Callable[[str], None],
         failed: Callable[[OSError], None],
     ) -> None:
-        self._path, self._columns, self._tell, self._failed = path, columns, tell, failed
+        self._path, self._tell, self._failed = path, tell, failed
+        self._columns: dict[str, Columns] = {}
         self.book = LayoutBook()
 
-    def load(self) -> str:
-        """Arrange all workspaces as they were left; return a notice, "" if all is well."""
+    def load(self, workspaces: Collection[str]) -> str:
+        """Read what is remembered of these workspaces; return a notice, "" if all is well."""
         self.book, notice = load_book(self._path, datetime.now())
-        wrong = {name: self._misfit(name, wanted) for name, wanted in self.book.present.items()}
-        wrong = {name: reason for name, reason in wrong.items() if reason}
-        if wrong:
-            told = ", ".join(f"{name} ({reason})" for name, reason in wrong.items())
-            notice = f"Layouts that do not fit this version: {told}. {self._kept()}"
-        for name in wrong:
-            del self.book.present[name]
-        for name, columns in self._columns.items():
-            columns.show_arrangement(self.book.present.get(name, columns.usual))
-        self._lock(self.book.locked)
+        unknown = [name for name in self.book.present if name not in workspaces]
+        return self._without(dict.fromkeys(unknown, "no such workspace")) or notice
+
+    def add(self, workspace: str, columns: Columns | None) -> str:
+        """Arrange a page that was just made as it was left; return a notice, "" if all is well.
+
+        None: the page has one arrangement.
+        """
+        wanted, notice = self.book.present.get(workspace), ""
+        if wanted is not None:
+            misfit = "no columns" if columns is None else columns.misfit(wanted)
+            notice = self._without({workspace: misfit} if misfit else {})
+        if columns is not None:
+            self._columns[workspace] = columns
+            columns.show_arrangement(self.book.present.get(workspace, columns.usual))
+            columns.lock(self.book.locked)
         return notice
 
     def remember(self) -> None:
@@ -155,9 +164,15 @@ class Layouts:
             return f"The usual ones are used; the file could not be kept aside ({error})."
         return f"The usual ones are used; the file is kept as {kept.name}."
 
-    def _misfit(self, workspace: str, wanted: Arrangement) -> str:
-        columns = self._columns.get(workspace)
-        return "no such workspace" if columns is None else columns.misfit(wanted)
+    def _without(self, wrong: Mapping[str, str]) -> str:
+        """Forget the layouts that do not fit, by workspace with the reason; return the notice."""
+        if not wrong:
+            return ""
+        told = ", ".join(f"{name} ({reason})" for name, reason in wrong.items())
+        notice = f"Layouts that do not fit this version: {told}. {self._kept()}"
+        for name in wrong:
+            del self.book.present[name]
+        return notice
 
     def _lock(self, locked: bool) -> None:
         self.book.locked = locked

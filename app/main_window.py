@@ -44,23 +44,21 @@ class Tab(Protocol):
 
     name: str
     title: str
-    page: QWidget
 
 
 class MainWindow(QMainWindow):
     """Holds the views; ``may_close`` decides whether a close request is granted."""
 
-    def __init__(self, theme: Theme, bar: TopBar, cards: FaultCards, pages: Sequence[Tab]) -> None:
+    def __init__(self, theme: Theme, bar: TopBar, cards: FaultCards, tabs: Sequence[Tab]) -> None:
         super().__init__()
         self._theme, self._bar = theme, bar
         self.may_close: Callable[[], bool] = bool
         self.front = ""
         self._stack = QStackedWidget()
-        self._pages = {tab.name: tab.page for tab in pages}
-        self._scrolls = {tab.name: _scrolled(tab.page) for tab in pages}
-        for scroll in self._scrolls.values():
-            self._stack.addWidget(scroll)
-        named = [(tab.name, tab.title) for tab in pages]
+        self._tabs = [tab.name for tab in tabs]
+        self._pages: dict[str, QWidget] = {}
+        self._scrolls: dict[str, QScrollArea] = {}
+        named = [(tab.name, tab.title) for tab in tabs]
         self.rail = {name: _rail_button(text) for name, text in (*named, *FOOT_OF_RAIL)}
         self._message, self._right = ElidedLabel("muted"), label("", "small")
         self._banner = BenchBanner(theme)
@@ -102,7 +100,7 @@ class MainWindow(QMainWindow):
         column = QVBoxLayout(rail)
         column.setContentsMargins(5, RAIL_MARGIN_PX, 5, RAIL_MARGIN_PX)
         column.setSpacing(RAIL_GAP_PX)
-        for name in self._pages:
+        for name in self._tabs:
             self.rail[name].setCheckable(True)
             column.addWidget(self.rail[name])
         column.addStretch(1)
@@ -121,15 +119,22 @@ class MainWindow(QMainWindow):
         row.addWidget(self._right)
         return foot
 
+    def add_page(self, name: str, page: QWidget) -> None:
+        """Take the page of a workspace that was just made."""
+        self._pages[name], self._scrolls[name] = page, _scrolled(page)
+        self._give_room(page)
+        self._stack.addWidget(self._scrolls[name])
+        self._fit_columns(page)
+
     def show_page(self, name: str) -> None:
-        """Bring a workspace to the front."""
+        """Bring a workspace, whose page was added, to the front."""
         focus = QApplication.focusWidget()
         if focus is not None and self._stack.isAncestorOf(focus):
             # Else the first control of the other page would look chosen.
             self._frame.setFocus()
         self.front = name
         self._stack.setCurrentWidget(self._scrolls[name])
-        for key in self._pages:
+        for key in self._tabs:
             self.rail[key].setChecked(key == name)
 
     def show_message(self, text: str) -> None:
@@ -152,7 +157,7 @@ class MainWindow(QMainWindow):
         """Draw the rail's icons in the theme's colours; larger text scrolls, it is never cut."""
         em = QFontMetrics(ui_font(self._theme.scale)).height()
         for page in self._pages.values():
-            page.setMinimumSize(PAGE_EM[0] * em, PAGE_EM[1] * em)
+            self._give_room(page)
         for button in self.rail.values():
             button.setMinimumWidth(round(3.7 * em))
         self._bar.ensurePolished()
@@ -161,13 +166,19 @@ class MainWindow(QMainWindow):
         for name, button in self.rail.items():
             button.setIcon(icon(name, self._theme.tokens.colour("text"), 22))
         self._fit_rail()
-        self._fit_columns()
+        for page in self._pages.values():
+            self._fit_columns(page)
+
+    def _give_room(self, page: QWidget) -> None:
+        em = QFontMetrics(ui_font(self._theme.scale)).height()
+        page.setMinimumSize(PAGE_EM[0] * em, PAGE_EM[1] * em)
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Leave the icons out of the rail where there is room for its words alone."""
         super().resizeEvent(event)
         self._fit_rail()
-        self._fit_columns()
+        for page in self._pages.values():
+            self._fit_columns(page)
 
     def _fit_rail(self) -> None:
         full = Qt.ToolButtonStyle.ToolButtonTextUnderIcon
@@ -179,14 +190,13 @@ class MainWindow(QMainWindow):
             if needed + 2 * RAIL_MARGIN_PX <= self.height() - taken:
                 return
 
-    def _fit_columns(self) -> None:
+    def _fit_columns(self, page: QWidget) -> None:
         """Where a page is wider than the window its controls come first: the rest scrolls."""
         # Pages that are not seen have not been laid out: the room follows from the window.
         room = self.width() - self._rail_frame.sizeHint().width()
-        for page in self._pages.values():
-            narrow = room < page.minimumWidth()
-            for columns in page.findChildren(Columns):
-                columns.lead_with_controls(narrow)
+        narrow = room < page.minimumWidth()
+        for columns in page.findChildren(Columns):
+            columns.lead_with_controls(narrow)
 
     def closeEvent(self, event: QCloseEvent) -> None:
         """Close if granted."""

@@ -55,7 +55,9 @@ class Desk:
 class Workspace:
     """One tab of the window: a page, its commands, and how it follows the bench.
 
-    All is called on the window's thread and must return at once. The defaults do nothing.
+    Until it is first asked for it has a name and commands, but no page: most visits to the window
+    see one or two of them. All is called on the window's thread and must return at once. The
+    defaults do nothing.
     """
 
     name: str
@@ -71,6 +73,9 @@ class Workspace:
     """What of the page can be arranged; None: nothing."""
     parts: Sequence[Callable[[], None]] = ()
     """What draws the page, in pieces of few ms; called in turn while the page is in front."""
+
+    def build(self) -> None:
+        """Make the page; called once, before anything below."""
 
     def attach(self, link: Link) -> None:
         """Take a bench that is ready."""

@@ -6,16 +6,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from app.keys import portable
-from app.label.halves import Halves
 from app.workspace import Command
 
 
 def by_half(
-    page: Halves, titles: Mapping[str, str], commands: Mapping[str, Sequence[Command]]
+    front: Callable[[], str], titles: Mapping[str, str], commands: Mapping[str, Sequence[Command]]
 ) -> tuple[Command, ...]:
     """Return all commands; a key that several halves use becomes one row that names them all.
 
-    ``titles`` and ``commands`` by name of the half. A command of a half behind does nothing.
+    ``front`` tells the half in front; ``titles`` and ``commands`` by name of the half. A command of
+    a half behind does nothing.
     """
     rows: dict[str, Command] = {}
     acts: dict[str, dict[str, Callable[[], None]]] = {}
@@ -25,7 +25,7 @@ def by_half(
             text = f"{titles[half]}: {command.text}"
             known = rows.get(key)
             if known is None:
-                rows[key] = replace(command, text=text, run=_runner(page, acts, key))
+                rows[key] = replace(command, text=text, run=_runner(front, acts, key))
             else:
                 both = f"{known.text}; {text}"
                 rows[key] = replace(known, text=both, repeats=known.repeats and command.repeats)
@@ -34,10 +34,10 @@ def by_half(
 
 
 def _runner(
-    page: Halves, acts: Mapping[str, Mapping[str, Callable[[], None]]], key: str
+    front: Callable[[], str], acts: Mapping[str, Mapping[str, Callable[[], None]]], key: str
 ) -> Callable[[], None]:
     def run() -> None:
-        act = acts[key].get(page.front)
+        act = acts[key].get(front())
         if act is not None:
             act()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 
 from app.collect.by_half import by_half
@@ -33,26 +33,17 @@ class CollectWorkspace(Workspace):
     page: Halves
 
     def __init__(self, desk: Desk) -> None:
-        self.page = Halves()
-        self.collect_page = CollectPage(desk.theme, self._intents())
-        self.page.add(COLLECT, TITLES[COLLECT], self.collect_page)
-        self.label = LabelWorkspace(desk, self.page)
-        self.reader = Commits(self.label.post, "collect-reader")
-        catalogue = load_catalogue()
-        self.presenter = CollectPresenter(self.collect_page, desk.cards, self.reader, catalogue)
-        self.collect_page.target.show_catalogue(
-            [(name, catalogue.piece(name).title) for name in catalogue.tops],
-            [(name, catalogue.piece(name).title) for name in catalogue.bottoms],
-        )
+        self._desk = desk
+        self.label = LabelWorkspace(desk)
         self.live: LivePresenter | None = None
         self._link: Link | None = None
         self._looked_at: Dataset | None = None
         """The dataset as it is looked at before anybody is named; nothing is written to it."""
         self.label.opened = self._take_dataset
         self.label.person_changed = self._show_person
-        self.page.tell(self._half_came)
+        halves = {COLLECT: self._commands(), LABEL: self.label.commands}
         self.commands = (
-            *by_half(self.page, TITLES, {COLLECT: self._commands(), LABEL: self.label.commands}),
+            *by_half(lambda: self.page.front, TITLES, halves),
             Command("half", "The other half: collect, or label", "F2", self._show_other_half),
             Command("half-collect", "Collect half", "Ctrl+Shift+C",
                     lambda: self.page.show_half(COLLECT)),
@@ -60,6 +51,23 @@ class CollectWorkspace(Workspace):
                     lambda: self.page.show_half(LABEL)),
         )  # fmt: skip
         self.held_keys = self.label.held_keys
+
+    def build(self) -> None:
+        """Make both halves, and the thread that reads for them."""
+        self.page = Halves()
+        self.collect_page = CollectPage(self._desk.theme, self._intents())
+        self.page.add(COLLECT, TITLES[COLLECT], self.collect_page)
+        self.label.build_in(self.page)
+        self.reader = Commits(self.label.post, "collect-reader")
+        catalogue = load_catalogue()
+        self.presenter = CollectPresenter(
+            self.collect_page, self._desk.cards, self.reader, catalogue
+        )
+        self.collect_page.target.show_catalogue(
+            [(name, catalogue.piece(name).title) for name in catalogue.tops],
+            [(name, catalogue.piece(name).title) for name in catalogue.bottoms],
+        )
+        self.page.tell(self._half_came)
 
     # -- life -------------------------------------------------------------------------------------
 
@@ -227,23 +235,30 @@ class CollectWorkspace(Workspace):
         self.presenter.decide(decisions[name])
 
     def _commands(self) -> tuple[Command, ...]:
-        p, decide = self.presenter, self.presenter.decide
         return (
-            Command("start", "Start, or keep and next", "F5", p.start),
-            Command("go-on", "Go on with the last campaign", "Shift+F5", p.go_on),
-            Command("pause", "Pause or resume", "P", p.pause_or_resume),
-            Command("keep", "Keep the probe", "Return", lambda: decide("keep")),
-            Command("discard-probe", "Discard the probe", "Backspace", lambda: decide("discard")),
-            Command("flag-probe", "Flag the probe", "X", lambda: decide("flag")),
-            Command("again", "Redo the probe", "R", lambda: decide("redo")),
-            Command("leave-out", "Skip: leave its place out", "S", lambda: decide("skip")),
-            Command("person", "Say who collects", "Ctrl+U", self.collect_page.target.ask_person),
+            self._act("start", "Start, or keep and next", "F5", lambda p: p.start()),
+            self._act("go-on", "Go on with the last campaign", "Shift+F5", lambda p: p.go_on()),
+            self._act("pause", "Pause or resume", "P", lambda p: p.pause_or_resume()),
+            self._act("keep", "Keep the probe", "Return", lambda p: p.decide("keep")),
+            self._act("discard-probe", "Discard the probe", "Backspace",
+                      lambda p: p.decide("discard")),
+            self._act("flag-probe", "Flag the probe", "X", lambda p: p.decide("flag")),
+            self._act("again", "Redo the probe", "R", lambda p: p.decide("redo")),
+            self._act("leave-out", "Skip: leave its place out", "S", lambda p: p.decide("skip")),
+            Command("person", "Say who collects", "Ctrl+U",
+                    lambda: self.collect_page.target.ask_person()),
             Command("columns", "Choose the columns of the episodes", "",
-                    self.collect_page.table.choose_columns),
+                    lambda: self.collect_page.table.choose_columns()),
             Command("sort", "Sort the episodes by the next column", "",
-                    self.collect_page.table.sort_by_next),
-            Command("fit", "Fit the force and moment ranges", "Ctrl+F", self.collect_page.fit),
+                    lambda: self.collect_page.table.sort_by_next()),
+            Command("fit", "Fit the force and moment ranges", "Ctrl+F",
+                    lambda: self.collect_page.fit()),
         )  # fmt: skip
+
+    def _act(
+        self, name: str, text: str, key: str, act: Callable[[CollectPresenter], None]
+    ) -> Command:
+        return Command(name, text, key, lambda: act(self.presenter))
 
 
 def _unseen(_: object) -> None:

@@ -77,17 +77,17 @@ def _nudges(w: LabelWorkspace) -> tuple[Command, ...]:
 
 
 def _looks(w: LabelWorkspace) -> tuple[Command, ...]:
-    page, film = w.label_page, w.label_page.film
     return (
         Command("play", "Play the film from the cursor, or pause (Space)", "",
-                film.play_or_pause),
-        Command("frame-back", "One frame back", "[", lambda: film.step(-1), repeats=True,
-                beside=True),
-        Command("frame-on", "One frame forward", "]", lambda: film.step(1), repeats=True,
-                beside=True),
+                lambda: w.label_page.film.play_or_pause()),
+        Command("frame-back", "One frame back", "[", lambda: w.label_page.film.step(-1),
+                repeats=True, beside=True),
+        Command("frame-on", "One frame forward", "]", lambda: w.label_page.film.step(1),
+                repeats=True, beside=True),
         Command("pictures", "Pictures: the tactile film, or the scene camera", "I",
-                page.next_pictures, beside=True),
-        Command("curves", "Choose the curves on one axis", "W", page.list_curves),
+                lambda: w.label_page.next_pictures(), beside=True),
+        Command("curves", "Choose the curves on one axis", "W",
+                lambda: w.label_page.list_curves()),
         Command("hide", "Hide or show the model and other sources", "H", w.hide),
     )  # fmt: skip
 

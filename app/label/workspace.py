@@ -39,16 +39,12 @@ class LabelWorkspace(Workspace):
     name, title, key = "collect", "Collect", "Ctrl+2"
     page: Halves
 
-    def __init__(self, desk: Desk, page: Halves) -> None:
+    def __init__(self, desk: Desk) -> None:
         self._desk, self.folder = desk, default_folder()
         self.sitting = Sitting()
-        self.label_page = LabelPage(desk.theme, self._intents())
-        self.page = page
         self.opened: Callable[[Opened], None] = _nobody
         """Told when the dataset is open."""
         self.person_changed: Callable[[str], None] = _nobody
-        self.page.add("label", "Label", self.label_page)
-        self.post = Post(self.page)
         self.commits: Commits | None = None
         self.presenter: LabelPresenter | None = None
         self.decisions: Decisions | None = None
@@ -60,6 +56,13 @@ class LabelWorkspace(Workspace):
         self._opened: Opened | None = None
         self.commands = commands_of(self, desk)
         self.held_keys = tuple((key, "Type a displacement x,y in mm") for key in "0123456789-.")
+
+    def build_in(self, page: Halves) -> None:
+        """Make the half, and put it into the page of both."""
+        self.page = page
+        self.label_page = LabelPage(self._desk.theme, self._intents())
+        self.page.add("label", "Label", self.label_page)
+        self.post = Post(self.page)
 
     # -- life -------------------------------------------------------------------------------------
 

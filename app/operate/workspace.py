@@ -36,16 +36,19 @@ class OperateWorkspace(Workspace):
         self.probe: ProbePresenter | None = None
         self._link: Link | None = None
         self._story, self._shown = RunStory(), -1
+        self.commands = self._commands()
+
+    def build(self) -> None:
+        """Make the page."""
         intents = OperateIntents(
             jog=JogIntents(self._renew, self._ended, self._step, self._arm_keys, self._level),
             grip=self._grip, open=self._open, probe=self._probe, cancel=self._cancel,
             zero=self._zero, baseline=self._baseline, span=self._span, pause=self._pause,
             set_scene=self._set_scene,
         )  # fmt: skip
-        self.page = OperatePage(desk.theme, intents, PACES, PHASES)
+        self.page = OperatePage(self._desk.theme, intents, PACES, PHASES)
         self.columns = self.page.columns
         self.keys = JogKeys(self.page, self.page.jog)
-        self.commands = self._commands()
 
     def attach(self, link: Link) -> None:
         """Show this bench."""
@@ -117,22 +120,35 @@ class OperateWorkspace(Workspace):
     # -- orders -----------------------------------------------------------------------------------
 
     def _commands(self) -> tuple[Command, ...]:
-        jog = self.page.jog
         return (
             Command("probe", "Probe once", "F5", self._probe),
             Command("grip", "Grip the piece", "G", self._grip),
             Command("open", "Open the gripper", "Shift+G", self._open),
             Command("zero", "Zero force and moment", "Z", self._zero),
             Command("baseline", "Take the tactile reference anew", "B", self._baseline),
-            Command("arm", "Arm or disarm the jog keys", "J", jog.keys.toggle),
-            Command("shorter", "Shorter step, down to hold-to-run", "[", lambda: jog.next_step(-1)),
-            Command("longer", "Longer step", "]", lambda: jog.next_step(1)),
-            Command("frame", "Jog in the next frame: XYZ, TOOL, JOINT", "F", jog.next_frame),
-            Command("turn", "Jog: turn the hand, or move it", "T", jog.turn.click),
+            Command("arm", "Arm or disarm the jog keys", "J", lambda: self.page.jog.keys.toggle()),
+            Command(
+                "shorter",
+                "Shorter step, down to hold-to-run",
+                "[",
+                lambda: self.page.jog.next_step(-1),
+            ),
+            Command("longer", "Longer step", "]", lambda: self.page.jog.next_step(1)),
+            Command(
+                "frame",
+                "Jog in the next frame: XYZ, TOOL, JOINT",
+                "F",
+                lambda: self.page.jog.next_frame(),
+            ),
+            Command(
+                "turn", "Jog: turn the hand, or move it", "T", lambda: self.page.jog.turn.click()
+            ),
             Command("level", "Level the hand", "Shift+T", self._level),
-            Command("scene", "Set the simulated bench anew", "Ctrl+N", self.page.scene.ask),
-            Command("freeze", "Hold the traces still", "Ctrl+P", self.page.pause.toggle),
-            Command("fit", "Fit the force and moment ranges", "Ctrl+F", self.page.fit),
+            Command(
+                "scene", "Set the simulated bench anew", "Ctrl+N", lambda: self.page.scene.ask()
+            ),
+            Command("freeze", "Hold the traces still", "Ctrl+P", lambda: self.page.pause.toggle()),
+            Command("fit", "Fit the force and moment ranges", "Ctrl+F", lambda: self.page.fit()),
         )
 
     def _renew(self, what: str) -> bool:

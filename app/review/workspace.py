@@ -27,29 +27,35 @@ class ReviewWorkspace(Workspace):
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
         self.exports = desk.runs.parent / "exports"
-        self.page = ReviewPage(desk.theme, self._intents())
-        self.post = Post(self.page)
-        self.reader = Commits(self.post, "review-reader")
-        self.library = Library(dataset_folder())
-        self.presenter = ReviewPresenter(
-            self.page, desk.runs, desk.cards, self.reader, self.library
-        )
-        replay = self.presenter.replay
         self.commands = (
-            Command("refresh", "Look for new recordings", "Ctrl+R", self.presenter.refresh),
+            Command("refresh", "Look for new recordings", "Ctrl+R",
+                    lambda: self.presenter.refresh()),
             Command("play", "Play from the cursor, or pause (Space)", "", self._play),
-            Command("back", "One sample back", "Left", lambda: replay.step(-1), repeats=True),
-            Command("on", "One sample forward", "Right", lambda: replay.step(1), repeats=True),
-            Command("second-back", "One second back", "J", lambda: replay.jump(-1.0),
+            Command("back", "One sample back", "Left",
+                    lambda: self.presenter.replay.step(-1), repeats=True),
+            Command("on", "One sample forward", "Right",
+                    lambda: self.presenter.replay.step(1), repeats=True),
+            Command("second-back", "One second back", "J", lambda: self.presenter.replay.jump(-1.0),
                     repeats=True),
-            Command("second-on", "One second forward", "L", lambda: replay.jump(1.0),
+            Command("second-on", "One second forward", "L", lambda: self.presenter.replay.jump(1.0),
                     repeats=True),
-            Command("filter", "Filter the recordings", "/", self.page.filter.setFocus),
+            Command("filter", "Filter the recordings", "/",
+                    lambda: self.page.filter.setFocus()),
             Command("picture", "Export what is shown as PNG and SVG", "Ctrl+E", self._picture),
             Command("table", "Export the probes as CSV", "Ctrl+Shift+E", self._table),
             Command("report", "Export picture and probes as one HTML page", "", self._report),
             Command("viewer", "Open the file outside", "Ctrl+O", self._open_outside),
         )  # fmt: skip
+
+    def build(self) -> None:
+        """Make the page, and the thread that reads for it."""
+        self.page = ReviewPage(self._desk.theme, self._intents())
+        self.post = Post(self.page)
+        self.reader = Commits(self.post, "review-reader")
+        self.library = Library(dataset_folder())
+        self.presenter = ReviewPresenter(
+            self.page, self._desk.runs, self._desk.cards, self.reader, self.library
+        )
 
     def enter(self) -> None:
         """Look for recordings that came since."""

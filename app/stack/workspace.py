@@ -38,11 +38,6 @@ class StackWorkspace(Workspace):
 
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
-        trial = TrialIntents(self._answer, self._judge, self._photo)
-        intents = StackIntents(self._start, self._pause, self._cancel, self._approve,
-                               self._decline, self._choose, self._compare, trial)  # fmt: skip
-        self.page = StackPage(desk.theme, intents)
-        self.columns = self.page.columns
         self.live: LivePresenter | None = None
         self.presenter: StackPresenter | None = None
         self.side: SidePresenter | None = None
@@ -62,8 +57,17 @@ class StackWorkspace(Workspace):
                 for name, text, key, outcome in SEEN
             ),
             Command("photo", "Add a picture of this trial", "", self._photo),
-            Command("fit", "Fit the force and moment ranges", "Ctrl+F", self.page.fit),
+            Command("fit", "Fit the force and moment ranges", "Ctrl+F",
+                    lambda: self.page.fit()),
         )  # fmt: skip
+
+    def build(self) -> None:
+        """Make the page."""
+        trial = TrialIntents(self._answer, self._judge, self._photo)
+        intents = StackIntents(self._start, self._pause, self._cancel, self._approve,
+                               self._decline, self._choose, self._compare, trial)  # fmt: skip
+        self.page = StackPage(self._desk.theme, intents)
+        self.columns = self.page.columns
 
     def attach(self, link: Link) -> None:
         """Show this bench."""

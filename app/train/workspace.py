@@ -29,30 +29,10 @@ class TrainWorkspace(Workspace):
 
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
-        form = TrainingIntents(
-            start=self._order(TrainPresenter.start),
-            cancel=self._order(TrainPresenter.ask_cancel),
-            resume=self._order(TrainPresenter.resume),
-            changed=self._changed,
-            folder=self._ask_folder,
-            defaults=self._defaults,
-        )
-        self.page = TrainPage(
-            desk.theme,
-            TrainIntents(
-                form,
-                lambda _: self._on(TrainPresenter.choose),
-                self._order(TrainPresenter.promote),
-                self._order(TrainPresenter.roll_back),
-            ),
-        )
-        self.columns = self.page.columns
         self.presenter: TrainPresenter | None = None
         self._post: Post | None = None
         self._commits: Commits | None = None
         self._folders = [dataset_folder()]
-        self._show_folders(str(dataset_folder()))
-        self.page.form.show_form(TrainingForm())
         self.commands = (
             Command("start", "Start training", "Ctrl+Return", self._order(TrainPresenter.start)),
             Command(
@@ -77,6 +57,29 @@ class TrainWorkspace(Workspace):
             Command("folder", "Train on another folder", "Ctrl+O", self._ask_folder),
             Command("reread", "Read data and trainings anew", "Ctrl+R", self._reread),
         )
+
+    def build(self) -> None:
+        """Make the page."""
+        form = TrainingIntents(
+            start=self._order(TrainPresenter.start),
+            cancel=self._order(TrainPresenter.ask_cancel),
+            resume=self._order(TrainPresenter.resume),
+            changed=self._changed,
+            folder=self._ask_folder,
+            defaults=self._defaults,
+        )
+        self.page = TrainPage(
+            self._desk.theme,
+            TrainIntents(
+                form,
+                lambda _: self._on(TrainPresenter.choose),
+                self._order(TrainPresenter.promote),
+                self._order(TrainPresenter.roll_back),
+            ),
+        )
+        self.columns = self.page.columns
+        self._show_folders(str(dataset_folder()))
+        self.page.form.show_form(TrainingForm())
 
     def enter(self) -> None:
         """Read data and trainings, which others may have changed."""

@@ -8,6 +8,7 @@ than everything else. Colours are done one after the other: one plane fits into 
 
 from __future__ import annotations
 
+import json
 from functools import lru_cache
 
 import cv2
@@ -40,9 +41,7 @@ class FingerOptics:
         self._back += _background(look.background.tobytes(), look.background.shape)
         self._to_core = look.core.astype(np.float32)[:, None, None] - self._back
         self._dots = Dots(look, fixed)
-        shape = (3, _BANK_FACTOR * HEIGHT_PX, _BANK_FACTOR * WIDTH_PX)
-        self._bank = fixed.standard_normal(shape, dtype=np.float32)
-        self._bank *= np.float32(look.noise)
+        self._bank = _noise_bank(json.dumps(fixed.bit_generator.state), look.noise)
         margin = 2 * _FRINGE_PX
         shadow = np.zeros((HEIGHT_PX + margin, WIDTH_PX + margin), dtype=np.float32)
         self._shadow = _moved(shadow, 0, 0)
@@ -112,6 +111,21 @@ def _background(colours: bytes, shape: tuple[int, ...]) -> Float32:
     planes = np.ascontiguousarray(np.asarray(smooth, dtype=np.float32).transpose(2, 0, 1))
     read_only(planes)
     return planes
+
+
+@lru_cache(maxsize=4)
+def _noise_bank(state: str, deviation: float) -> Float32:
+    """Return (3, 480, 640) noise drawn by a generator in ``state``.
+
+    Kept for the fingers of two scenes: one that is set anew with the same seed is ready sooner.
+    """
+    draws = np.random.Generator(np.random.PCG64())
+    draws.bit_generator.state = json.loads(state)
+    shape = (3, _BANK_FACTOR * HEIGHT_PX, _BANK_FACTOR * WIDTH_PX)
+    bank = draws.standard_normal(shape, dtype=np.float32)
+    bank *= np.float32(deviation)
+    read_only(bank)
+    return bank
 
 
 def _grain(look: GelLook, rng: np.random.Generator) -> Float32:

@@ -82,6 +82,9 @@ class RigHost:
         say: Callable[[Message], bool],
     ) -> None:
         self.devices, self._now_s, self._memory, self._say = devices, now_s, memory, say
+        # Asked once: that takes longer than a round.
+        self._traced = devices.arm if isinstance(devices.arm, Traced) else None
+        self._homing = devices.gripper if isinstance(devices.gripper, Homing) else None
         self._core = RigCore(now_s(), limits)
         self._lock = threading.RLock()
         self._showing, self._noting = threading.Lock(), threading.Lock()
@@ -171,9 +174,8 @@ class RigHost:
         finite = np.isfinite(wrench.values).all(axis=1)
         if finite.any():
             self._wrench_s = float(wrench.t_s[finite][-1])
-        arm = self.devices.arm
-        if isinstance(arm, Traced) and arm.state is not DeviceState.CLOSED:
-            self._memory.rounds.put(np.array([now_s]), np.array([arm.trace()]))
+        if self._traced is not None and self.devices.arm.state is not DeviceState.CLOSED:
+            self._memory.rounds.put(np.array([now_s]), np.array([self._traced.trace()]))
 
     def _show(self, now_s: float, *, slow: bool) -> None:
         with self._showing:
@@ -181,7 +183,7 @@ class RigHost:
                 self._slow = {n: slow_row(d, now_s) for n, d in self.devices.named().items()}
             rows = {
                 "arm": arm_row(self.devices.arm),
-                "gripper": gripper_row(self.devices.gripper),
+                "gripper": gripper_row(self.devices.gripper, self._homing),
                 "force_torque": sensor_row(self.devices.force_torque),
             }
             self._remember_grip()
@@ -276,8 +278,8 @@ class RigHost:
         device, _, verb = name.partition(".")
         if verb == "connect":
             self._cancel.clear()
-            if device == "gripper" and isinstance(self.devices.gripper, Homing):
-                self.devices.gripper.lost_holding |= given["lost_holding"]
+            if device == "gripper" and self._homing is not None:
+                self._homing.lost_holding |= given["lost_holding"]
             self.devices.named()[device].connect(given["timeout_s"], self._cancel)
             return None
         if verb == "close":
@@ -329,9 +331,8 @@ class RigHost:
         samples = devices.samples.window(now_s - 1.0, now_s)
         finite = np.isfinite(samples.values).all(axis=1)
         status = devices.gripper.status()
-        arm = devices.arm
         return Measured(
-            press_n=arm.press_n if isinstance(arm, Traced) else np.nan,
+            press_n=np.nan if self._traced is None else self._traced.press_n,
             wrench_age_s=now_s - float(samples.t_s[finite][-1]) if finite.any() else np.nan,
             moved_mm=float(np.ptp(poses, axis=0).max()) if len(poses) else np.nan,
             width_change_mm=status.width_mm - self._gripped_mm,

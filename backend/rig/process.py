@@ -97,6 +97,8 @@ def _serve(
             host.leave()
         return taken
 
+    # Before there are threads: all of them inherit it, or one without it would hold up the others.
+    realtime = prefer(priority)
     host = RigHost(devices, Limits(**begin["limits"]), now_s, memory, say)
     channel = Channel(*pipes, host.take, host.leave)
 
@@ -104,7 +106,6 @@ def _serve(
         host.leave()
 
     signal.signal(signal.SIGTERM, terminate)
-    realtime = prefer(priority)
     channel.say(_hello(devices, realtime=realtime))
     channel.start()
     # What was made so far stays: no look of the collector has to go through it.

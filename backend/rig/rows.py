@@ -9,7 +9,7 @@ from typing import Any
 from backend.core.faults import Fault, StaleSampleError, TouchdownError
 from backend.devices.homing import Homing
 from backend.devices.protocols import Arm, Device, DeviceState, ForceTorqueSensor, Gripper
-from backend.devices.steps import Stepwise
+from backend.devices.steps import Steps
 from backend.rig.messages import fault_row, identity_row
 
 Row = dict[str, Any]
@@ -18,10 +18,10 @@ POSE_AGE_S = 0.2
 
 def device_row(device: Device) -> Row:
     """Return what changes quickly, of any device."""
-    fault = getattr(device, "fault", None)
+    fault, steps = getattr(device, "fault", None), getattr(device, "steps", None)
     return {
         "state": device.state.value,
-        "steps": device.steps.done if isinstance(device, Stepwise) else 0,
+        "steps": steps.done if isinstance(steps, Steps) else 0,
         "fault": fault_row(fault if isinstance(fault, Fault) else None),
     }
 
@@ -51,9 +51,11 @@ def arm_row(arm: Arm) -> Row:
     return row
 
 
-def gripper_row(gripper: Gripper) -> Row:
-    """Return width, force, whether a piece is held, and what the operator has to do."""
-    homing = gripper if isinstance(gripper, Homing) else None
+def gripper_row(gripper: Gripper, homing: Homing | None) -> Row:
+    """Return width, force, whether a piece is held, and what the operator has to do.
+
+    ``homing``: the gripper again if it is one that is homed.
+    """
     return {
         **device_row(gripper),
         "grip": list(astuple(gripper.status())),

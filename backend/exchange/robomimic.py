@@ -19,6 +19,7 @@ from backend.exchange.exporting import Job
 from backend.exchange.extra import need
 from backend.exchange.features import ACTION, DEMOS, FPS, OFFSET, PATCH, PICTURES, Feature
 from backend.exchange.low_dim import ExportEpisode
+from backend.exchange.patient_file import PatientFile
 
 GYM = 2
 ENVIRONMENT = "Touchdown"
@@ -28,28 +29,37 @@ ACTION_SIZE = 7
 def write(job: Job, folder: Path) -> Mapping[str, object]:
     """Write the episodes of ``job`` to ``demos.hdf5`` in ``folder``."""
     h5py = need("h5py")
+    with PatientFile(folder / DEMOS) as disk:
+        with h5py.File(disk, "w") as file:
+            scale = _write_all(file, job, disk)
+        disk.check()
+    return {"data": "hdf5", "action_scale": scale}
+
+
+def _write_all(file: Any, job: Job, disk: PatientFile) -> float:
+    """Write all demos and masks; returns the scale of the actions. Raises ``OSError``."""
     greatest = 0.0
     sides: dict[str, list[str]] = {}
-    with h5py.File(folder / DEMOS, "w") as file:
-        data = file.create_group("data")
-        for episode in job.episodes():
-            one = episode.chosen
-            name = f"demo_{one.index}"
-            action = _write_demo(data.create_group(name), episode, job.features)
-            greatest = max(greatest, float(np.abs(action).max()))
-            sides.setdefault(one.split, []).append(name)
-        scale = action_scale(greatest)
-        if scale != 1.0:
-            for demo in data.values():
-                demo["actions"][...] = demo["actions"][...] / np.float32(scale)
-        data.attrs["total"] = SAMPLES_PER_PROBE * len(job.chosen)
-        kwargs = {"action_scale": scale, "fps": FPS}
-        environment = {"env_name": ENVIRONMENT, "env_type": GYM, "env_kwargs": kwargs}
-        data.attrs["env_args"] = json.dumps(environment)
-        masks = file.create_group("mask")
-        for side, names in sides.items():
-            masks.create_dataset(side, data=np.array(names, dtype="S"))
-    return {"data": "hdf5", "action_scale": scale}
+    data = file.create_group("data")
+    for episode in job.episodes():
+        one = episode.chosen
+        name = f"demo_{one.index}"
+        action = _write_demo(data.create_group(name), episode, job.features)
+        greatest = max(greatest, float(np.abs(action).max()))
+        sides.setdefault(one.split, []).append(name)
+        disk.check()
+    scale = action_scale(greatest)
+    if scale != 1.0:
+        for demo in data.values():
+            demo["actions"][...] = demo["actions"][...] / np.float32(scale)
+    data.attrs["total"] = SAMPLES_PER_PROBE * len(job.chosen)
+    kwargs = {"action_scale": scale, "fps": FPS}
+    environment = {"env_name": ENVIRONMENT, "env_type": GYM, "env_kwargs": kwargs}
+    data.attrs["env_args"] = json.dumps(environment)
+    masks = file.create_group("mask")
+    for side, names in sides.items():
+        masks.create_dataset(side, data=np.array(names, dtype="S"))
+    return scale
 
 
 def action_scale(greatest: float) -> float:

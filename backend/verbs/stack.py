@@ -119,16 +119,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         raise InputError("Nobody would see what to approve.", "--mode", "Leave out --json.")
     if lab and screen.json:
         raise InputError("Trials on devices ask their operator.", "--json", "Leave it out.")
-    request = StackRequest(
-        piece=args.piece,
-        bottoms=tuple(args.bottom.split("+")),
-        seed=args.seed,
-        trials=args.trials,
-        strategy=args.strategy,
-        mode=mode,
-        model=args.model,
-        origin_mm=(args.origin[0], args.origin[1]),
-    )
+    request = _request(args, mode)
     runs = Path(args.runs) if args.runs else data_folder() / "runs"
     choice = (
         lab_choice(args)
@@ -158,6 +149,19 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     screen.result(_result(args, trials, faults, session))
     placed = [t for t in trials if t.outcome is Outcome.PLACED]
     return 0 if len(placed) == request.trials and not faults else 1
+
+
+def _request(args: argparse.Namespace, mode: Mode) -> StackRequest:
+    return StackRequest(
+        piece=args.piece,
+        bottoms=tuple(args.bottom.split("+")),
+        seed=args.seed,
+        trials=args.trials,
+        strategy=args.strategy,
+        mode=mode,
+        model=args.model,
+        origin_mm=(args.origin[0], args.origin[1]),
+    )
 
 
 @contextmanager

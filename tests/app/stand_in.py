@@ -124,7 +124,7 @@ class StandInBench:
         rates = {"arm": 100.0, "gripper": 20.0, "force_torque": 1000.0,
                  "tactile_left": 25.0, "tactile_right": 25.0}  # fmt: skip
         self.devices = {name: StandInDevice(name, rate) for name, rate in rates.items()}
-        self.decisions = []
+        self.decisions, self.silent = [], set[str]()
         self.started, self.answers, self.stops, self.resets = [], [], 0, 0
         self.opened = self.closed = False
         self._status = RunStatus(RunState.IDLE)
@@ -188,8 +188,8 @@ class StandInBench:
             self.wrench.put(t_s, values)
             x, z = 4.0 - 1.5 * self.press, 24.0 + 3.0 * (1 - self.press)
             self.devices["arm"].poses.put(t_s[-1:], np.array([[x, 1.0, z]]))
-            for device in self.devices.values():
-                device.received += 1
+            for name, device in self.devices.items():
+                device.received += name not in self.silent
             for finger in FINGERS:
                 self._put_frame(finger)
 

@@ -93,7 +93,7 @@ class MelfaSettings(Settings):
     """Arm and controller."""
 
     driver: Annotated[str, Field(min_length=1)] = "melfa"
-    """melfa, or one that an entry point adds."""
+    """melfa, ur, or one that an entry point adds."""
     host: str = "192.168.0.20"
     robot_type: str = "RV-5AS-D"
     """What the controller calls its arm, from the start; empty: any."""
@@ -144,6 +144,27 @@ class MelfaSettings(Settings):
         if groups != 1:
             raise ValueError("needs exactly one group, around the six numbers")
         return text
+
+
+class UrSettings(Settings):
+    """A Universal Robots arm in place of the MELFA: ``melfa.driver = "ur"``."""
+
+    host: str = "192.168.0.3"
+    rate_hz: Annotated[float, Field(ge=50, le=500)] = 125.0
+    """Cycles per second: 125 of a CB series, up to 500 of an e-series."""
+    origin_mm: Row = (450.0, 0.0, 0.0)
+    """Bench origin in the base of the arm."""
+    yaw_deg: float = 0.0
+    """Turn of the bench in the base of the arm."""
+    tool_mm: Positive = 200.0
+    """From the flange to the grasp pivot."""
+    lookahead_s: Annotated[float, Field(ge=0.03, le=0.2)] = 0.05
+    """Smoothing of the servo motion: a lag of about as much."""
+    gain: Annotated[float, Field(ge=100, le=2000)] = 600.0
+    arm_lag_ms: NonNegative = 60.0
+    sensor_lag_ms: NonNegative = 16.0
+    watchdog_hz: Positive = 10.0
+    """The controller stops by itself if it hears less often."""
 
 
 class WsgSettings(Settings):
@@ -304,6 +325,7 @@ class HardwareSettings(Settings):
     """All of them, one table of the bench file per device."""
 
     melfa: MelfaSettings = MelfaSettings()
+    ur: UrSettings = UrSettings()
     wsg: WsgSettings = WsgSettings()
     ft: ForceTorqueSettings = ForceTorqueSettings()
     dynpick: DynpickSettings = DynpickSettings()

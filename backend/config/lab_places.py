@@ -16,6 +16,8 @@ from backend.core.faults import InputError
 URL = re.compile(r"(?:socket|udp|tcp)://(?:[^@/]*@)?(?P<host>\[[^\]]+\]|[^:/]+)")
 TERMINALS = Path("/dev/pts")
 DEVICES = Path("/dev")
+ARM_HOSTS = {"melfa": "melfa.host", "ur": "ur.host"}
+"""Where the arm of each driver answers."""
 
 
 def is_emulated(settings: HardwareSettings) -> bool:
@@ -33,18 +35,21 @@ def refuse_wrong_places(settings: HardwareSettings, kind: str, where: str) -> No
                 where,
                 f"Write kind = \"hardware\", or correct '{key}'.",
             )
-        if kind == "hardware" and here and key == "melfa.host":
+        if kind == "hardware" and here and key == ARM_HOSTS.get(settings.melfa.driver):
             raise InputError(
                 "Bad value for 'kind': this bench is called hardware, but its arm answers on this "
                 "computer, as emulated ones do.",
                 where,
-                "Write kind = \"emulated\", or correct 'melfa.host'.",
+                f"Write kind = \"emulated\", or correct '{key}'.",
             )
 
 
 def _places(settings: HardwareSettings) -> Iterator[tuple[str, bool]]:
     """Yield (key, whether it is a place on this computer that an emulated device can have)."""
-    yield "melfa.host", _is_loopback(settings.melfa.host)
+    if settings.melfa.driver == "ur":
+        yield "ur.host", _is_loopback(settings.ur.host)
+    else:
+        yield "melfa.host", _is_loopback(settings.melfa.host)
     yield "wsg.host", _is_loopback(settings.wsg.host)
     yield "ft.address", _is_here(settings.ft.address)
     gelsight = settings.gelsight

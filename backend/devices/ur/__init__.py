@@ -1,0 +1,1 @@
+"""Driver of Universal Robots arms, over the package ``ur_rtde`` (optional)."""

@@ -1,0 +1,398 @@
+"""A Universal Robots arm as a device: straight moves, jogging, compliant presses by servo cycles.
+
+One thread owns the control interface, which takes one caller at a time; STOP is a flag that it
+sees in its next cycle. If this program dies, the controller's watchdog stops the arm.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from backend.config.hardware import UrSettings
+from backend.core.faults import Fault, FaultError, RefusedError
+from backend.core.flow import FloatArray, Pose
+from backend.core.stream import SampleStream
+from backend.core.turning import LEVEL_RAD, turned_rad
+from backend.devices.melfa.motion import ARM, STOPPED, ArmPress
+from backend.devices.melfa.programs import Travel
+from backend.devices.motion import CommandedMotion, servo_off_fault
+from backend.devices.protocols import (
+    STILL,
+    TURN_RAD_S,
+    ArmStatus,
+    DeviceState,
+    Health,
+    Identity,
+    Joints,
+    PressCommand,
+    RobotMode,
+    SafetyMode,
+    Vector,
+)
+from backend.devices.steps import Steps
+from backend.devices.ur.faults import (
+    NO_WRENCH,
+    NOT_CONNECTED,
+    leaning_fault,
+    link_fault,
+    robot_fault,
+)
+from backend.devices.ur.orders import UrOrders
+from backend.devices.ur.rtde import (
+    REDUCED,
+    RUNNING,
+    Interfaces,
+    OpenRobot,
+    identity_of,
+    open_robot,
+)
+from backend.devices.ur.servo import Placing, ServoCore, lean_rad
+from backend.devices.ur.watch import Watch
+
+BRAKE_M_S2 = 2.0
+RATE_WINDOW_S = 1.0
+SERVO_ON_S = 30.0
+LOOK_S = 0.05
+AXES = ("x_mm", "y_mm", "z_mm")
+NO_TURNS = "this arm does not turn its hand"
+
+
+class UrArm:
+    """``wrench``: the untared samples of the wrist sensor, in the axes of the bench."""
+
+    name = ARM
+    rotates = False
+    joint_limits_rad: tuple[tuple[float, float], ...] = ()
+
+    def __init__(
+        self,
+        settings: UrSettings,
+        now_s: Callable[[], float],
+        wrench: SampleStream,
+        poses: SampleStream | None = None,
+        open_with: OpenRobot = open_robot,
+    ) -> None:
+        self._settings, self._now_s, self._open = settings, now_s, open_with
+        self._wrench, self._cursor = wrench, 0
+        self._poses = poses or SampleStream(ARM, 3, 32_768)
+        self._placing, self._cycle_s = Placing(settings), 1.0 / settings.rate_hz
+        self._orders = UrOrders(settings, self._cycle_s)
+        self._core = ServoCore()
+        self._robot: Interfaces | None = None
+        self._rotation = np.zeros(3)
+        self._lock = threading.Lock()
+        self._stop_asked, self._ends = threading.Event(), threading.Event()
+        self._thread: threading.Thread | None = None
+        self._servoing = False
+        self._watch = Watch(-math.inf)
+        self.steps = Steps()
+        self._state = DeviceState.CLOSED
+        self._identity: Identity | None = None
+        self._received = 0
+        self._arrivals: deque[float] = deque(maxlen=512)
+        self.fault: Fault | None = None
+
+    # -- connection -------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> DeviceState:
+        """Where the connection is in its life."""
+        return self._state
+
+    @property
+    def identity(self) -> Identity | None:
+        """Known once connected."""
+        return self._identity
+
+    @property
+    def poses(self) -> SampleStream:
+        """Measured position of ``G``, mm in the bench, once per cycle."""
+        return self._poses
+
+    @property
+    def health(self) -> Health:
+        """Rate of measured positions over the last second, age of the newest, counts."""
+        now_s, arrivals = self._now_s(), list(self._arrivals)
+        rate_hz = sum(t_s > now_s - RATE_WINDOW_S for t_s in arrivals) / RATE_WINDOW_S
+        age_s = now_s - arrivals[-1] if arrivals else math.inf
+        return Health(rate_hz, age_s, self._received, self._watch.late)
+
+    def describe(self) -> Mapping[str, str | float]:
+        """Return model, commanded place, and cycles without news."""
+        place = dict(zip(AXES, self._core.command_mm.tolist(), strict=True))
+        model = self._identity.model if self._identity else "Universal Robots"
+        return {"kind": model, **place, "late": self._watch.late}
+
+    def connect(self, timeout_s: float, cancel: threading.Event) -> None:
+        """Connect, take the place of the arm, and begin the servo cycles; nothing moves."""
+        if self._state is DeviceState.READY:
+            return
+        self.close()
+        self._state, self.fault = DeviceState.CONNECTING, None
+        self.steps.begin()
+        try:
+            self._begin()
+        except (FaultError, RuntimeError, OSError) as error:
+            self.close()
+            if isinstance(error, FaultError):
+                raise
+            raise FaultError(link_fault(f"The robot cannot be reached: {error}.")) from error
+        self._state = DeviceState.READY
+
+    def close(self) -> None:
+        """Brake, end the script; the gripper stays as it is."""
+        self.stop()
+        self._drop()
+        self._state = DeviceState.CLOSED
+
+    def servo(self, on: bool) -> None:
+        """Switch the motors over the dashboard; on takes seconds."""
+        robot = self._require_link()
+        if not on:
+            with self._lock:
+                self._core.end(servo_off_fault(ARM))
+                self._still(robot)
+            robot.dashboard.powerOff()
+            return
+        robot.dashboard.powerOn()
+        robot.dashboard.brakeRelease()
+        end_s, never = self._now_s() + SERVO_ON_S, threading.Event()
+        while robot.receive.getRobotMode() != RUNNING and self._now_s() <= end_s:
+            never.wait(LOOK_S)
+        if robot.receive.getRobotMode() != RUNNING:
+            raise FaultError(robot_fault("The motors do not come on"))
+        with self._lock:
+            robot.control.reuploadScript()
+            self._core.begin(self._measured(robot))
+
+    def _begin(self) -> None:
+        robot = self._robot = self._open(self._settings.host, self._settings.rate_hz)
+        self.steps.reached("reach")
+        self._identity = identity_of(robot.dashboard, self._settings.host)
+        self.steps.reached("identify")
+        robot.control.setTcp([0.0, 0.0, 1e-3 * self._settings.tool_mm, 0.0, 0.0, 0.0])
+        robot.control.setWatchdog(self._settings.watchdog_hz)
+        pose = np.array(robot.receive.getActualTCPPose())
+        self._rotation = pose[3:]
+        lean = lean_rad(self._rotation)
+        if lean > LEVEL_RAD:
+            raise FaultError(leaning_fault(math.degrees(lean)))
+        self._core.begin(self._placing.pivot_mm(pose))
+        self.steps.reached("configure")
+        self._cursor, self._received = self._wrench.count, 0
+        self._arrivals.clear()
+        self._watch = Watch(self._now_s())
+        self._stop_asked.clear()
+        self._ends = threading.Event()
+        self.cycle(self._now_s())
+        if self.fault is not None:
+            raise FaultError(self.fault)
+        self.steps.reached("first sample")
+        self._start_thread()
+
+    def _start_thread(self) -> None:
+        self._thread = threading.Thread(
+            target=self._run, args=(self._ends,), name="ur", daemon=True
+        )
+        self._thread.start()
+
+    def _run(self, ends: threading.Event) -> None:
+        """Keep the rate; a cycle that comes late is not made up for."""
+        due_s = self._now_s()
+        while not ends.is_set():
+            self.cycle(self._now_s())
+            due_s = max(due_s + self._cycle_s, self._now_s() - self._cycle_s)
+            ends.wait(max(0.0, due_s - self._now_s()))
+
+    def _drop(self) -> None:
+        self._ends.set()
+        if self._thread is not None:
+            self._thread.join()
+        self._thread = None
+        robot, self._robot = self._robot, None
+        if robot is not None:
+            self._still(robot)
+            robot.control.stopScript()
+            robot.close()
+
+    # -- one cycle, on the thread that owns the control interface ---------------------------------
+
+    def cycle(self, now_s: float) -> None:
+        """Measure, decide, command; a fault stops the arm and is latched."""
+        if (robot := self._robot) is None:
+            return
+        with self._lock:
+            try:
+                self._look(robot, now_s)
+                if self._stop_asked.is_set():
+                    self._stop_asked.clear()
+                    self._still(robot)
+                elif self.fault is None:
+                    self._command(robot, now_s)
+                robot.control.kickWatchdog()
+            except FaultError as error:
+                self._latch(robot, error.fault)
+            except RuntimeError as error:
+                self._latch(robot, link_fault(f"The robot does not answer: {error}."))
+
+    def _look(self, robot: Interfaces, now_s: float) -> None:
+        """Take what the robot tells; raise the fault that it tells of."""
+        if self._watch.has_news(robot.receive, now_s):
+            self._core.measured_mm = self._measured(robot)
+            self._poses.put(np.array([now_s]), self._core.measured_mm[None])
+            self._received += 1
+            self._arrivals.append(now_s)
+        if self.fault is None:
+            self._watch.require_healthy(robot.receive, now_s)
+
+    def _command(self, robot: Interfaces, now_s: float) -> None:
+        samples = self._wrench.since(self._cursor)
+        self._cursor = samples.cursor
+        if not self._servoing and self._core.program is None:
+            return
+        if not robot.control.isProgramRunning():
+            raise FaultError(robot_fault("The script on the controller has ended"))
+        place_mm = self._core.step(now_s, self._cycle_s, self._core.measured_mm, samples)
+        pose = self._placing.pose(place_mm, self._rotation)
+        settings = self._settings
+        self._servoing = True
+        if not robot.control.servoL(
+            pose, 0.0, 0.0, self._cycle_s, settings.lookahead_s, settings.gain
+        ):
+            raise FaultError(robot_fault("The robot refuses a servo command"))
+
+    def _measured(self, robot: Interfaces) -> FloatArray:
+        return self._placing.pivot_mm(np.array(robot.receive.getActualTCPPose()))
+
+    def _still(self, robot: Interfaces) -> None:
+        if self._servoing:
+            self._servoing = False
+            robot.control.servoStop(BRAKE_M_S2)
+
+    def _latch(self, robot: Interfaces, fault: Fault) -> None:
+        self._core.end(fault)
+        self.fault = self.fault or fault
+        if self._state is DeviceState.READY:
+            self._state = DeviceState.FAULT
+        try:
+            self._still(robot)
+        except RuntimeError:
+            return  # nobody hears it: the watchdog of the controller stops the arm
+
+    # -- state ------------------------------------------------------------------------------------
+
+    def status(self) -> ArmStatus:
+        """Return the status words."""
+        if (robot := self._robot) is None:
+            return ArmStatus(RobotMode.DISCONNECTED, SafetyMode.UNKNOWN, 0.0, 0)
+        mode = RobotMode.MOVING if self._core.moving else RobotMode.READY
+        if robot.receive.getRobotMode() != RUNNING:
+            mode = RobotMode.SERVO_OFF
+        safety = SafetyMode.NORMAL
+        if self.fault is not None:
+            safety = SafetyMode.HW_STOP if self.fault.code == "HW-STOP" else SafetyMode.FAULT
+        elif robot.receive.getSafetyMode() == REDUCED:
+            safety = SafetyMode.REDUCED
+        return ArmStatus(mode, safety, robot.receive.getSpeedScaling(), 0)
+
+    def pose(self, max_age_s: float) -> Pose:
+        """Return the measured pose; raises ``StaleSampleError`` if it is older."""
+        _, values = self._poses.latest(self._now_s(), max_age_s)
+        return Pose(*values.tolist())
+
+    # -- motion -----------------------------------------------------------------------------------
+
+    def move_to(
+        self, target: Pose, speed_mm_s: float, turn_rad_s: float = TURN_RAD_S
+    ) -> CommandedMotion:
+        """Move straight to ``target``; ValueError for a turn or a senseless number."""
+        goal = np.array([target.x_mm, target.y_mm, target.z_mm])
+        if not (np.isfinite(goal).all() and 0.0 < speed_mm_s < math.inf):
+            raise ValueError("target and speed must be finite, the speed positive")
+        if not turned_rad(target) <= LEVEL_RAD:
+            raise ValueError(NO_TURNS)
+        robot = self._require_ready()
+        with self._lock:
+            if not robot.control.isPoseWithinSafetyLimits(self._placing.pose(goal, self._rotation)):
+                raise RefusedError("SAFETY-PLANE", "The robot's own safety limits bar this place.")
+            place = dict(zip(AXES, goal.tolist(), strict=True))
+            motion = CommandedMotion({**place, "speed_mm_s": speed_mm_s})
+            self._orders.leave()
+            self._core.run(Travel(motion, goal, speed_mm_s))
+            return motion
+
+    def jog(
+        self, velocity_mm_s: Vector, for_s: float, turn_rad_s: Vector = STILL
+    ) -> CommandedMotion:
+        """Follow a velocity for ``for_s``; a renewal goes on without a jerk."""
+        velocity = np.array(velocity_mm_s)
+        if not (np.isfinite(velocity).all() and 0.0 < for_s < math.inf):
+            raise ValueError("velocity and time must be finite, the time positive")
+        if any(turn_rad_s):
+            raise ValueError(NO_TURNS)
+        self._require_ready()
+        with self._lock:
+            return self._orders.jog(self._core, velocity, self._now_s() + for_s)
+
+    # This arm does not rotate: the four below are refused.
+
+    def joints_rad(self, max_age_s: float) -> Joints:
+        """Refuse."""
+        raise ValueError(NO_TURNS)
+
+    def place_of(self, joints_rad: Joints) -> Pose:
+        """Refuse."""
+        raise ValueError(NO_TURNS)
+
+    def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> CommandedMotion:
+        """Refuse."""
+        raise ValueError(NO_TURNS)
+
+    def move_joints(self, target_rad: Joints, speed_rad_s: float) -> CommandedMotion:
+        """Refuse."""
+        raise ValueError(NO_TURNS)
+
+    def press(self, command: PressCommand) -> ArmPress:
+        """Press compliantly from here straight down."""
+        self._require_ready()
+        now_s = self._now_s()
+        air = self._wrench.window(now_s - 1.0, now_s)
+        finite = np.isfinite(air.values).all(axis=1)
+        if not finite.any():
+            raise FaultError(NO_WRENCH)
+        before = air.t_s[finite], air.values[finite, :3]
+        with self._lock:
+            return self._orders.press(self._core, command, before)
+
+    def unload(self, force_n: float, speed_mm_s: float) -> CommandedMotion:
+        """Rise until the press force is ``force_n``."""
+        self._require_ready()
+        with self._lock:
+            return self._orders.unload(self._core, force_n, speed_mm_s)
+
+    def halt(self) -> None:
+        """Brake and stand still, ready for the next motion."""
+        with self._lock:
+            self._core.halt()
+
+    def stop(self) -> None:
+        """Stop in the next cycle; in every state, from any thread."""
+        with self._lock:
+            self._core.end(STOPPED)
+        self._stop_asked.set()
+
+    def _require_link(self) -> Interfaces:
+        if self._robot is None or self._state is not DeviceState.READY:
+            raise FaultError(self.fault or NOT_CONNECTED)
+        return self._robot
+
+    def _require_ready(self) -> Interfaces:
+        robot = self._require_link()
+        if robot.receive.getRobotMode() != RUNNING:
+            raise FaultError(servo_off_fault(ARM))
+        return robot

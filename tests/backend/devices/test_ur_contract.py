@@ -1,0 +1,192 @@
+"""The contract of an arm, asked of the driver for Universal Robots; and what that arm alone has."""
+
+import inspect
+import math
+import threading
+
+import numpy as np
+import pytest
+
+from backend.config.hardware import HardwareSettings
+from backend.core.faults import FaultError, RefusedError
+from backend.core.flow import Pose
+from backend.core.stream import SampleStream
+from backend.devices.melfa.making import make_arm
+from backend.devices.protocols import DeviceState, RobotMode, SafetyMode
+from backend.devices.sim.bench import SimulatedBench
+from backend.devices.ur import rtde
+from backend.devices.ur.arm import UrArm
+from tests.backend.devices import contract_bench, test_arm_contract
+from tests.backend.devices.contract_bench import DevicesUnderTest
+from tests.backend.devices.ur_stand_in import UrWires, hand_leaning
+
+TURNING = ("turn", "joint")
+CLAUSES = [
+    clause
+    for name, clause in vars(test_arm_contract).items()
+    if name.startswith("test_")
+    and list(inspect.signature(clause).parameters) == ["bench"]
+    and not any(word in name for word in TURNING)
+]
+NAMES = [clause.__name__.removeprefix("test_") for clause in CLAUSES]
+
+
+@pytest.fixture
+def wires():
+    return UrWires(SimulatedBench(contract_bench._scene(contract_bench.FEW_HZ)))
+
+
+@pytest.fixture
+def bench(wires):
+    made = wires.bench
+    return DevicesUnderTest(
+        wires.arm,
+        made.gripper,
+        made.force_torque,
+        made.tactile,
+        made.clock.now_s,
+        wires.advance,
+        still_s=0.3,
+        still_mm=0.05,
+    )
+
+
+@pytest.mark.parametrize("clause", CLAUSES, ids=NAMES)
+def test_it_keeps_the_contract_of_an_arm(clause, bench):
+    clause(bench)
+
+
+def test_most_of_the_contract_is_asked():
+    assert len(CLAUSES) >= 8
+
+
+def test_commands_leave_from_where_the_arm_is_and_never_leap(bench, wires):
+    bench.connect()
+    begun_m = wires.robot.place_m.copy()
+    here = bench.arm.pose(1.0)
+    bench.finish(bench.arm.move_to(Pose(here.x_mm + 20.0, here.y_mm, here.z_mm + 10.0), 50.0))
+    told = np.array([pose for _, pose in wires.robot.commands])
+    assert np.linalg.norm(told[0, :3] - begun_m) < 1e-3
+    assert np.linalg.norm(np.diff(told[:, :3], axis=0), axis=1).max() <= 50.0 * 0.008 * 1e-3 + 1e-6
+    assert np.allclose(told[:, 3:], told[0, 3:])
+    assert np.linalg.norm(told[-1, :3] - begun_m) == pytest.approx(math.hypot(20, 10) * 1e-3)
+
+
+def test_the_controller_is_told_its_tool_and_keeps_hearing(bench, wires):
+    bench.connect()
+    bench.rest(0.4)
+    assert wires.robot.tcp == [0.0, 0.0, 0.2, 0.0, 0.0, 0.0]
+    assert wires.robot.kicks == pytest.approx(50, abs=2)
+    assert wires.robot.commands == []
+
+
+def test_stop_reaches_the_robot_in_the_next_cycle(bench, wires):
+    bench.connect()
+    bench.arm.jog((20.0, 0.0, 0.0), 2.0)
+    bench.rest(0.3)
+    asked_s = bench.now_s()
+    bench.arm.stop()
+    bench.rest(0.05)
+    assert wires.robot.stops[-1] - asked_s <= 0.0081
+    assert all(t_s <= asked_s for t_s, _ in wires.robot.commands)
+
+
+def broken(robot, how):
+    if how == "emergency":
+        robot.estop = True
+    elif how == "protective":
+        robot.safety = 3
+    elif how == "script":
+        robot.program = False
+    elif how == "mute":
+        robot.mute = True
+    else:
+        robot.connected = False
+
+
+@pytest.mark.parametrize(
+    ("how", "code"),
+    [
+        ("emergency", "HW-STOP"),
+        ("protective", "UR-STOPPED"),
+        ("script", "UR-STOPPED"),
+        ("mute", "UR-LINK"),
+        ("gone", "UR-LINK"),
+    ],
+)
+def test_whatever_the_robot_tells_ends_the_motion_and_is_latched(bench, wires, how, code):
+    bench.connect()
+    motion = bench.arm.jog((20.0, 0.0, 0.0), 2.0)
+    bench.rest(0.2)
+    broken(wires.robot, how)
+    bench.rest(0.15)
+    assert motion.done
+    assert (bench.arm.state, bench.arm.fault.code) == (DeviceState.FAULT, code)
+    stopped = SafetyMode.HW_STOP if how == "emergency" else SafetyMode.FAULT
+    assert bench.arm.status().safety_mode is stopped
+    sent = len(wires.robot.commands)
+    bench.rest(0.5)
+    assert len(wires.robot.commands) == sent
+    with pytest.raises(FaultError):
+        bench.arm.jog((20.0, 0.0, 0.0), 1.0)
+
+
+def test_an_arm_that_is_held_back_is_not_run_away_from(bench, wires):
+    bench.connect()
+    wires.robot.advance = lambda step_s: setattr(wires.robot, "told", wires.robot.told + step_s)
+    bench.arm.jog((20.0, 0.0, 0.0), 2.0)
+    bench.rest(1.0)
+    assert bench.arm.fault.code == "UR-BEHIND"
+    gone_m = np.linalg.norm(np.array(wires.robot.commands[-1][1][:3]) - wires.robot.place_m)
+    assert gone_m < 0.008
+
+
+def test_a_leaning_hand_and_a_barred_place_are_refused(bench, wires):
+    wires.robot.rotation = hand_leaning(2.0)
+    with pytest.raises(FaultError, match=r"leans 2\.0"):
+        bench.arm.connect(1.0, threading.Event())
+    wires.robot.rotation = hand_leaning(0.0)
+    bench.connect()
+    with pytest.raises(RefusedError, match="safety limits"):
+        bench.arm.move_to(Pose(2000.0, 0.0, 100.0), 50.0)
+    with pytest.raises(ValueError, match="turn"):
+        bench.arm.move_to(Pose(0.0, 0.0, 60.0, 0.1, 0.0, 0.0), 50.0)
+
+
+def test_motors_go_off_and_on_over_the_dashboard(bench):
+    bench.connect()
+    bench.arm.servo(False)
+    bench.rest(0.1)
+    assert bench.arm.status().robot_mode is RobotMode.SERVO_OFF
+    with pytest.raises(FaultError):
+        bench.arm.jog((1.0, 0.0, 0.0), 1.0)
+    bench.arm.servo(True)
+    bench.finish(bench.arm.jog((5.0, 0.0, 0.0), 0.2))
+    assert bench.arm.state is DeviceState.READY
+
+
+def test_a_bench_file_names_it_and_its_package_is_asked_for():
+    settings = HardwareSettings.model_validate({"melfa": {"driver": "ur"}})
+    streams = [SampleStream("force_torque", 6, 10), SampleStream("arm", 3, 10)]
+    arm = make_arm(settings, lambda: 0.0, *streams)
+    assert isinstance(arm, UrArm)
+
+
+@pytest.mark.optional
+def test_the_package_has_what_the_driver_calls():
+    control = pytest.importorskip("rtde_control").RTDEControlInterface
+    receive = pytest.importorskip("rtde_receive").RTDEReceiveInterface
+    dashboard = pytest.importorskip("dashboard_client").DashboardClient
+    for ours, theirs in (
+        (rtde.Control, control),
+        (rtde.Receive, receive),
+        (rtde.Dashboard, dashboard),
+    ):
+        for name, method in vars(ours).items():
+            if name.startswith("_"):
+                continue
+            told = (getattr(theirs, name).__doc__ or "").splitlines()[0]
+            asked = len(inspect.signature(method).parameters) - 1
+            assert told.count(":") - told.count("Flags") >= asked, (name, told)
+    with pytest.raises(RuntimeError):
+        rtde.open_robot("127.0.0.1", 125.0)

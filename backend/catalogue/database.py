@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sqlite3
 import time
 from collections.abc import Iterator, Sequence
@@ -18,6 +19,7 @@ from backend.core.faults import Fault, FaultError, InputError, RefusedError
 
 NAME = "catalog.db"
 BUSY_MS = 5000
+LEAST_ROOM = 1_000_000
 Row = tuple[Any, ...]
 
 
@@ -59,7 +61,7 @@ class Database:
                 connection.close()
             if isinstance(error, InputError):
                 raise
-            raise _unreadable(path, error) from error
+            raise _unopened(path, error) from error
         writable = write and found <= SCHEMA_VERSION
         if not writable:
             connection.execute("PRAGMA query_only = ON")
@@ -198,7 +200,14 @@ def _create(connection: sqlite3.Connection) -> None:
     connection.executescript(script)
 
 
-def _unreadable(path: Path, error: sqlite3.Error) -> InputError:
+def _unopened(path: Path, error: sqlite3.Error) -> InputError:
+    """Return why a catalogue does not open; SQLite needs some room even to read."""
+    if shutil.disk_usage(path.parent).free < LEAST_ROOM:
+        return InputError(
+            f"The catalogue cannot be opened, as its disk is full: {error}.",
+            str(path),
+            "Make room on it, then try again.",
+        )
     return InputError(
         f"The catalogue cannot be opened: {error}.",
         str(path),

@@ -248,7 +248,7 @@ class Dataset:
         """Bring in labels and episodes of another copy, which stays as it is.
 
         Files first, rows and operations second. Raises ``InputError`` for another dataset, or a
-        chain of labels that is broken or does not fit.
+        chain of labels that is broken or does not fit, ``FaultError`` if the disk refuses.
         """
         name = check_person(person)
         with Dataset.open(other, create=False, write=False) as theirs:
@@ -260,7 +260,10 @@ class Dataset:
                 )
             self._back_up(partial(self.backups.if_changed, "merge"))
             paths = [path for (path,) in theirs.database.rows("SELECT DISTINCT path FROM episode")]
-            missing = merge.copy_files(self.folder, other, paths)
+            try:
+                missing = merge.copy_files(self.folder, other, paths)
+            except OSError as error:
+                raise FaultError(merge.not_copied(error, self.folder)) from error
             with theirs.database.reading() as connection:
                 log = operations.read_operations(connection)
             with self.labels.commit() as connection:

@@ -81,6 +81,12 @@ def head_of(nodes: Sequence[Node], closed: Iterable[str]) -> Head | None:
     return Head(head, ids, counting, _authors(head, by_id))
 
 
+def authors_of(nodes: Sequence[Node], rev_uuid: str) -> tuple[str, ...]:
+    """Return who wrote what the revision ``rev_uuid`` says."""
+    by_id = {node.rev_uuid: node for node in nodes}
+    return _authors(by_id[rev_uuid], by_id)
+
+
 def _before(node: Node, by_id: Mapping[str, Node]) -> Node | None:
     """Return what ``node`` goes back to: what it copies, else its parent."""
     key = node.copy_of if node.is_copy else node.parent

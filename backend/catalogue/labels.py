@@ -137,13 +137,18 @@ class LabelBook(LabelReader):
         return self.head(uuid)
 
     def resolve(self, person: str, uuid: str, rev_uuid: str) -> Revision:
-        """End a conflict: ``rev_uuid``, one of the leaves, holds and the others are closed."""
-        with self._act(person, "resolve") as (connection, draft, _):
-            leaves = heads.leaves_of(*heads.read_nodes(connection, uuid))
-            ids = [leaf.rev_uuid for leaf in leaves]
+        """End a conflict: ``rev_uuid``, one of the leaves, holds and the others are closed.
+
+        With four eyes nobody lets an approval of their own work win over another review.
+        """
+        with self._act(person, "resolve") as (connection, draft, name):
+            nodes, closed = heads.read_nodes(connection, uuid)
+            ids = [leaf.rev_uuid for leaf in heads.leaves_of(nodes, closed)]
             if len(ids) < 2 or rev_uuid not in ids:
                 raise RefusedError("no conflict", "There is no conflict that this would resolve.")
             winner = read_revision(connection, rev_uuid)
+            if self.four_eyes and winner.state == "approved":
+                review.refuse_own(heads.authors_of(nodes, rev_uuid), name)
             draft.add_copy(_following(winner, winner, winner.state), winner.rev_uuid)
             draft.closes += [other for other in ids if other != rev_uuid]
         return self.head(uuid)

@@ -16,7 +16,7 @@ from backend.catalogue import heads, operations
 from backend.catalogue.chain import first_break
 from backend.catalogue.database import Database, add_event
 from backend.catalogue.values import Operation
-from backend.core.faults import InputError
+from backend.core.faults import Fault, InputError
 from backend.core.files import write_atomically
 
 
@@ -110,6 +110,16 @@ def note(connection: sqlite3.Connection, person: str, where: Path, done: Merged)
     """Keep the merge in the audit."""
     body = {"operations": done.operations, "episodes": done.episodes}
     add_event(connection, person, "merge", str(where), body | {"conflicts": len(done.conflicts)})
+
+
+def not_copied(error: OSError, folder: Path) -> Fault:
+    """Return the fault of files that could not be copied."""
+    return Fault(
+        code="MERGE-WRITE",
+        what=f"A file of the other dataset could not be copied: {error.strerror or error}.",
+        consequence="Nothing was merged; files that came are complete, and used the next time.",
+        next_step=f"Make room on the disk of {folder} or check both disks, then merge again.",
+    )
 
 
 def _check_chains(theirs: Sequence[Operation], where: str) -> None:

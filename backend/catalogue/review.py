@@ -6,6 +6,7 @@ submits or reviews; with four eyes nobody reviews what they wrote.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -74,6 +75,12 @@ def refuse_closed(standing: Standing) -> None:
         raise RefusedError("conflict", "It has two labels since a merge: resolve that first.")
 
 
+def refuse_own(authors: Sequence[str], person: str) -> None:
+    """Raise ``RefusedError`` for a review by one of those who wrote the label."""
+    if person in authors:
+        raise RefusedError("four eyes", f"{person} wrote it: another person has to review it.")
+
+
 def _set(standing: Standing, person: str) -> LabelState:
     if standing.state == "submitted":
         raise RefusedError(
@@ -106,8 +113,8 @@ def _review(action: Action, standing: Standing, person: str, four_eyes: bool) ->
         return "rejected"
     if state != "submitted" and not (state == "draft" and standing.approved_before):
         raise RefusedError(f"is {state}", _NOT_SUBMITTED[state])
-    if four_eyes and person in standing.authors:
-        raise RefusedError("four eyes", f"{person} wrote it: another person has to review it.")
+    if four_eyes:
+        refuse_own(standing.authors, person)
     return "approved" if action == "approve" else "rejected"
 
 

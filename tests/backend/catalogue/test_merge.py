@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -14,8 +16,9 @@ from hypothesis import strategies as st
 from backend.catalogue import heads
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.journal import read_journal
+from backend.catalogue.training_set import labelled
 from backend.catalogue.values import Label
-from backend.core.faults import InputError, RefusedError
+from backend.core.faults import FaultError, InputError, RefusedError
 from tests.backend.catalogue.conftest import context_for, small_episode
 from tests.backend.catalogue.test_undo import ACTIONS, FAST, PEOPLE, Step, act, contents
 
@@ -152,6 +155,51 @@ def test_two_labels_are_a_conflict_until_a_person_resolves_it(copies: Copies) ->
     theirs.merge("bob", ours.folder)
     assert contents(theirs) == chosen
     ours.labels.approve("cleo", uuid)
+
+
+def test_two_reviews_of_one_label_are_a_conflict_that_its_author_cannot_settle(
+    copies: Copies,
+) -> None:
+    ours, theirs, (uuid, _) = copies
+    ours.labels.accept("ann", uuid, Label(100, 0, 0, 50))
+    theirs.merge("bob", ours.folder)
+    approved = ours.labels.approve("bob", uuid)
+    theirs.labels.reject("cleo", uuid, "tilt")
+    assert ours.merge("bob", theirs.folder).conflicts == (uuid,)
+    assert {leaf.state for leaf in ours.labels.conflicting(uuid)} == {"approved", "rejected"}
+    assert uuid not in [one.row.episode for one in labelled(ours.database, "drafts")]
+    with pytest.raises(RefusedError, match="ann wrote it"):
+        ours.labels.resolve("ann", uuid, approved.rev_uuid)
+    assert ours.labels.resolve("dora", uuid, approved.rev_uuid).state == "approved"
+    assert [one.row.episode for one in labelled(ours.database, "approved")] == [uuid]
+    ours.labels.undo("dora")
+    leaves = {leaf.state: leaf.rev_uuid for leaf in ours.labels.conflicting(uuid)}
+    with pytest.raises(RefusedError, match="ann wrote it"):
+        ours.labels.resolve("ann", uuid, leaves["approved"])
+    assert ours.labels.resolve("ann", uuid, leaves["rejected"]).state == "rejected"
+
+
+def test_a_merge_that_the_disk_refuses_says_so_and_goes_on_later(
+    copies: Copies, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ours, theirs, (uuid, _) = copies
+    theirs.labels.accept("bob", uuid, Label(900, 0, 0, 50))
+    new = theirs.record(
+        small_episode(seed=9), Label(1, 2), source="measured", context=context_for(theirs)
+    ).uuid
+    before = tables(ours)
+
+    def refuse(path: Path, content: bytes) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as full:
+        full.setattr("backend.catalogue.merge.write_atomically", refuse)
+        with pytest.raises(FaultError, match="No space left on device") as caught:
+            ours.merge("ann", theirs.folder)
+    assert caught.value.fault.code == "MERGE-WRITE"
+    assert tables(ours) == before
+    assert ours.merge("ann", theirs.folder).operations == 2
+    assert ours.read(new).episode_id == new
 
 
 def test_episodes_come_with_their_files(copies: Copies) -> None:

@@ -109,7 +109,7 @@ class PolicySettings(Settings):
 class OutlineSettings(Settings):
     """Support as one displaced outline, and what has to be known before a release."""
 
-    weight: Annotated[float, Field(gt=0, le=1)] = 0.1
+    weight: Annotated[float, Field(gt=0, le=1)] = 0.05
     """Share of a map's log odds that counts: neighbouring cells err together [U]."""
     pressure_sd_mm: Positive = 1.0
     """Error of the measured centre of pressure, that of the grasp included [U]."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +65,22 @@ class TrialEnd:
     verdict: Verdict | None
     true_mm: XY | None
     steps: tuple[Concluded, ...] = field(default=(), repr=False)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what a result keeps of it; a margin without any support is None."""
+        verdict = self.verdict
+        finite = (
+            None
+            if verdict is None
+            else [round(float(m), 4) if np.isfinite(m) else None for m in verdict.margins_mm]
+        )
+        return {
+            "seed": self.seed,
+            "outcome": self.outcome.value,
+            "reason": self.reason,
+            "probes": self.probes,
+            "margins_mm": finite,
+        }
 
 
 @dataclass

@@ -18,11 +18,8 @@ from backend.core.facts import Fact, TrialFinished
 from backend.core.flow import FloatArray
 from backend.dataset.pack_file import write_packs
 from backend.dataset.rows import TrainingRows, join_rows, load_rows, patch_hex
-from backend.experiments.closed_loop import (
-    TrialEnd,
-    pick_and_place_in_lockstep,
-    stack_in_lockstep,
-)
+from backend.experiments.beyond import beyond
+from backend.experiments.closed_loop import pick_and_place_in_lockstep, stack_in_lockstep
 from backend.experiments.collection import jobs_of, metadata_of, rows_of
 from backend.experiments.distribution import find_twins, held, largest_marker_px
 from backend.experiments.film import film_strip
@@ -191,7 +188,7 @@ def stack(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
         outline = case.bottoms[-1].face.polygon()
         films = [film_strip(end, outline) for end in ends[:FILMS]]
         (place.folder / FILM).write_text("".join(films), encoding="utf-8")
-    return {**answer, "trials": [_trial(end) for end in ends]}
+    return {**answer, "trials": [end.as_json() for end in ends]}
 
 
 def devices(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
@@ -225,17 +222,6 @@ def devices(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
             {"seed": e.seed, "outcome": e.outcome.value, "reason": e.reason, "probes": e.probes}
             for e in ends
         ],
-    }
-
-
-def _trial(end: TrialEnd) -> dict[str, Any]:
-    margins = None if end.verdict is None else [_finite(m) for m in end.verdict.margins_mm]
-    return {
-        "seed": end.seed,
-        "outcome": end.outcome.value,
-        "reason": end.reason,
-        "probes": end.probes,
-        "margins_mm": margins,
     }
 
 
@@ -295,4 +281,5 @@ KINDS: Kinds = {
     "stack": stack,
     "devices": devices,
     "twins": twins,
+    "beyond": beyond,
 }

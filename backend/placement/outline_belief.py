@@ -38,20 +38,17 @@ class OutlineBelief:
 
     @classmethod
     def given(
-        cls, belief: BeliefMap, share: float, pressed_mm: list[XY], sd_mm: float
+        cls, belief: BeliefMap, share: float, pressed: FloatArray | float = 0.0
     ) -> OutlineBelief:
-        """Weigh all outlines by ``share`` of the map's log odds and by centres of pressure.
+        """Weigh all outlines by ``share`` of the map's log odds and by what presses say of them.
 
-        ``pressed_mm``: where the presses acted, frame of the map, each with error ``sd_mm``.
+        ``pressed`` (k, ny, nx): sum of ``pressed_within`` over the presses.
         """
         grid = CellGrid.of(belief)
         spectra = _spectra(grid.shape, grid.pitch_mm)
-        log_weight = _correlated(share * belief.log_odds, spectra)
+        log_weight = pressed + _correlated(share * belief.log_odds, spectra)
         touched = _correlated(belief.covered.astype(np.float64), spectra) >= LEAST_CELLS
         log_weight[~touched] = -np.inf
-        for point in pressed_mm:
-            within = cls._inset(grid, point) / sd_mm
-            log_weight += np.log(STRAY + (1.0 - STRAY) * _normal(within))
         weight = np.exp(log_weight - log_weight.max())
         return cls(grid, weight / weight.sum())
 
@@ -74,7 +71,7 @@ class OutlineBelief:
 
     def margin_mm(self, point: XY, risk: float) -> float:
         """Return the inset of ``point`` that is not reached with probability ``risk``."""
-        inset = self._inset(self.grid, point).ravel()
+        inset = _insets(self.grid, point).ravel()
         weight = self.weight.ravel()
         kept = np.flatnonzero(weight > NEGLIGIBLE * weight.max())
         order = kept[np.argsort(inset[kept])]
@@ -87,13 +84,22 @@ class OutlineBelief:
         x, y = self.grid.to_mm(np.array([float(j), float(i)]))
         return family()[int(k)].placed((float(x), float(y)), segments=48)
 
-    @staticmethod
-    def _inset(grid: CellGrid, point: XY) -> FloatArray:
-        """Return (k, ny, nx): how far ``point`` lies within each outline at each cell."""
-        rows, columns = grid.shape
-        centres = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
-        relative = np.asarray(point) - grid.to_mm(centres.astype(np.float64))
-        return np.stack([inset_mm(outline, relative) for outline in family()])
+
+def pressed_within(grid: CellGrid, point: XY, sd_mm: float) -> FloatArray:
+    """Return (k, ny, nx) log likelihood of each outline at each cell, given a press at ``point``.
+
+    The centre of pressure lies within the outline; it is known with error ``sd_mm``.
+    """
+    within = _normal(_insets(grid, point) / sd_mm)
+    return np.asarray(np.log(STRAY + (1.0 - STRAY) * within), dtype=np.float64)
+
+
+def _insets(grid: CellGrid, point: XY) -> FloatArray:
+    """Return (k, ny, nx): how far ``point`` lies within each outline at each cell."""
+    rows, columns = grid.shape
+    centres = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
+    relative = np.asarray(point) - grid.to_mm(centres.astype(np.float64))
+    return np.stack([inset_mm(outline, relative) for outline in family()])
 
 
 def _correlated(cells: FloatArray, spectra: NDArray[np.complex128]) -> FloatArray:

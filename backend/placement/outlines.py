@@ -17,7 +17,8 @@ from backend.core.flow import (
 )
 from backend.placement.balance import centre_of_pressure_mm
 from backend.placement.belief import Belief, is_finite
-from backend.placement.outline_belief import OutlineBelief
+from backend.placement.coverage import CellGrid
+from backend.placement.outline_belief import OutlineBelief, pressed_within
 from backend.placement.policy import Aim, give_up, situation, towards
 from backend.placement.stability import judge
 from backend.placement.strategy import XY, Conclusion, Held, Touched
@@ -36,7 +37,7 @@ class OutlineReasoner:
     ) -> None:
         self._held, self._settings, self._pressure = held, settings, pressure
         self._belief = Belief.unknown(settings.belief, origin_mm, held.base_rate)
-        self._pressed_mm: list[XY] = []
+        self._pressed: FloatArray | float = 0.0
 
     def conclude(self, touched: Touched) -> Conclusion:
         """Fuse, weigh the outlines, judge by the accepted risk, choose."""
@@ -49,9 +50,7 @@ class OutlineReasoner:
             return Conclusion(self._belief.map, stability, give_up(NOTHING))
         if self._pressure:
             self._note(touched)
-        outlines = OutlineBelief.given(
-            self._belief.map, rules.weight, self._pressed_mm, rules.pressure_sd_mm
-        )
+        outlines = OutlineBelief.given(self._belief.map, rules.weight, self._pressed)
         com = self._held.com_xy_mm
         centre = here[0] + com[0], here[1] + com[1]
         margin_mm = outlines.margin_mm(centre, rules.risk)
@@ -73,7 +72,8 @@ class OutlineReasoner:
         at = pressed_at_mm(touched.observation[:, TACTILE_CHANNELS:].astype(np.float64), lever_mm)
         if np.isfinite(at).all():
             x, y = np.asarray(touched.offset_mm) + at
-            self._pressed_mm.append((float(x), float(y)))
+            grid, sd_mm = CellGrid.of(self._belief.map), self._settings.outlines.pressure_sd_mm
+            self._pressed = self._pressed + pressed_within(grid, (float(x), float(y)), sd_mm)
 
     def _choose(self, stability: Stability, target: XY, here: XY) -> PlaceAction:
         policy, required = self._settings.policy, self._settings.outlines.inset_mm

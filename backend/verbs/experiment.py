@@ -1,30 +1,39 @@
-"""``touchdown experiment``: the paper's tables on the simulated bench, as a page and as JSON."""
+"""``touchdown experiment``: the paper's tables on the simulated bench, and strategies beyond it."""
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from rich.table import Table
 
 from backend.core.faults import InputError
 from backend.verbs.screen import Screen
 
 if TYPE_CHECKING:
+    from backend.experiments.beyond import Beyond
     from backend.experiments.recipes import Recipe
     from backend.jobs.executor import Executor
     from backend.jobs.spec import JobSpec
     from backend.jobs.store import JobStore
 
 NAME = "experiment"
-HELP = "measure the paper's three tables on the simulated bench"
+HELP = "measure the paper's three tables on the simulated bench, or strategies beyond it"
 JSON_VERSION = 1
 EXECUTORS = ("serial", "local", "dask")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("what", choices=("tables",), help="the paper's Tables I to III")
+    parser.add_argument(
+        "what",
+        choices=("tables", "beyond"),
+        help="the paper's Tables I to III; or strategies beyond the paper, and the ceiling",
+    )
     scale = parser.add_mutually_exclusive_group()
     scale.add_argument(
         "--quick", dest="scale", action="store_const", const="quick", help="existing models, a few "
@@ -59,35 +68,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--cluster", metavar="ADDRESS", help="scheduler of the executor dask")
     parser.add_argument("--shard", metavar="i/n", help="do every n-th job only, for batch queues")
+    beyond = parser.add_argument_group("beyond")
+    beyond.add_argument("--strategies", default="paper,outlines,pressure", help="or ceiling, "
+                        "ceiling-diameter, pick-and-place (default: %(default)s)")  # fmt: skip
+    beyond.add_argument("--bottoms", default="short,long", help="or hex20, rect12x28 "
+                        "(default: %(default)s)")  # fmt: skip
+    beyond.add_argument("--trials", type=int, default=50, help="of a cell (default: %(default)s)")
 
 
 def run(args: argparse.Namespace, screen: Screen) -> int:
     """Do all jobs that are not done, then write the page; 0 when no job failed."""
     # Imported here so that `touchdown --help` starts without torch.
     from backend.experiments.writing import write_tables
-    from backend.jobs.campaign import parse_shard, run_campaign, shard_of, startable
     from backend.jobs.store import JobStore
 
     if args.workers < 1:
         raise InputError("--workers must be at least 1.", "--workers", "Give a positive number.")
     store = JobStore(_folder(args.out) / "jobs")
+    if args.what == "beyond":
+        return _run_beyond(args, screen, store)
     recipe = _recipe(args, store)
-    jobs = part = recipe.jobs()
-    if args.shard:
-        part = startable(jobs, shard_of(jobs, *parse_shard(args.shard)), store)
-    else:
-        store.sweep()
-    effort = sum(map(recipe.effort, part))
-    failed: list[str] = []
-    done = 0
-    with screen.progress(f"{len(part)} jobs", effort) as advance:
-        by_id = {spec.id: spec for spec in part}
-        for result in run_campaign(part, _executor(args, store), store):
-            done += recipe.effort(by_id[result.id])
-            advance(done, _name(by_id[result.id]))
-            if result.state == "failed":
-                failed.append(result.id)
-                screen.say(f"{_name(by_id[result.id])} failed: {result.error.strip()}")
+    jobs = recipe.jobs()
+    failed = _done(jobs, recipe.effort, args, screen, store)
     missing = sum(not store.has(spec.id) for spec in jobs)
     page, answer = write_tables(args.out, recipe, store)
     screen.say(f"{len(jobs) - missing} of {len(jobs)} jobs are done: {page}")
@@ -102,6 +104,89 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         }
     )
     return 1 if failed else 0
+
+
+def _done(
+    jobs: list[JobSpec],
+    effort_of: Callable[[JobSpec], int],
+    args: argparse.Namespace,
+    screen: Screen,
+    store: JobStore,
+) -> list[str]:
+    """Do what is not done of all jobs, or of one shard; return the ids of those that failed."""
+    from backend.jobs.campaign import parse_shard, run_campaign, shard_of, startable
+
+    part = jobs
+    if args.shard:
+        part = startable(jobs, shard_of(jobs, *parse_shard(args.shard)), store)
+    else:
+        store.sweep()
+    effort = sum(map(effort_of, part))
+    failed: list[str] = []
+    done = 0
+    with screen.progress(f"{len(part)} jobs", effort) as advance:
+        by_id = {spec.id: spec for spec in part}
+        for result in run_campaign(part, _executor(args, store), store):
+            done += effort_of(by_id[result.id])
+            advance(done, _name(by_id[result.id]))
+            if result.state == "failed":
+                failed.append(result.id)
+                screen.say(f"{_name(by_id[result.id])} failed: {result.error.strip()}")
+    return failed
+
+
+def _run_beyond(args: argparse.Namespace, screen: Screen, store: JobStore) -> int:
+    """Compare strategies; writes ``beyond.json`` with all that is finished by now."""
+    from backend.core.files import write_atomically
+
+    plan = _beyond(args, store)
+    jobs = plan.jobs()
+    failed = _done(jobs, plan.effort, args, screen, store)
+    answer = plan.table(store)
+    missing = sum(not store.has(spec.id) for spec in jobs)
+    path = args.out / "beyond.json"
+    write_atomically(path, json.dumps(answer, indent=1, sort_keys=True).encode() + b"\n")
+    table = Table(title="Closed loop on bench-v1, simulated; 95 % intervals")
+    for column in ("strategy", "trials", "placed %", "unsafe %", "outcomes", "probes"):
+        table.add_column(column)
+    for row in plan.rows(answer):
+        table.add_row(*row)
+    screen.show(table)
+    screen.result({"version": JSON_VERSION, "file": str(path), "jobs": len(jobs),
+                   "missing": missing, "failed": failed, "beyond": answer})  # fmt: skip
+    return 1 if failed else 0
+
+
+def _beyond(args: argparse.Namespace, store: JobStore) -> Beyond:
+    from backend.config.simulation import load_simulation
+    from backend.experiments.beyond import BOTTOMS, STRATEGIES, Beyond
+    from backend.experiments.given_models import adopt_models, models_that_ship
+    from backend.experiments.recipes import PIECES
+    from backend.experiments.writing import program_version
+
+    pieces = _named(args.pieces, PIECES, "--pieces")
+    bench = load_simulation(args.bench, None if args.bench else args.preset)
+    folders = [args.models] if args.models else models_that_ship(bench.preset)
+    found = adopt_models(store, *folders)
+    if args.trials < 1:
+        raise InputError("--trials must be at least 1.", "--trials", "Give a positive number.")
+    return Beyond(
+        bench=bench,
+        code=program_version(),
+        models={piece: found[piece, "FT+Tac"] for piece in pieces},
+        pieces=pieces,
+        bottoms=_named(args.bottoms, BOTTOMS, "--bottoms"),
+        strategies=_named(args.strategies, STRATEGIES, "--strategies"),
+        trials=args.trials,
+    )
+
+
+def _named(text: str, known: tuple[str, ...], where: str) -> tuple[str, ...]:
+    """Return the names in a text with commas; raises ``InputError`` for one that is not known."""
+    names = tuple(text.split(","))
+    if unknown := [name for name in names if name not in known]:
+        raise InputError(f"'{unknown[0]}' is not known.", where, f"Name some of {','.join(known)}.")
+    return names
 
 
 def _recipe(args: argparse.Namespace, store: JobStore) -> Recipe:

@@ -1,0 +1,203 @@
+"""Strategies beyond the paper and the ceiling, on the episodes of Table 3: closed-loop counts.
+
+A cell is one piece over one bottom under one strategy, cut into jobs of a few trials, so that an
+interrupted experiment goes on where it stopped and a table can be read at any time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import ceil
+from typing import Any, get_args
+
+import numpy as np
+
+from backend.config.bench_facts import bench_sha256
+from backend.config.load import parse
+from backend.config.method import StackSettings, StrategyName
+from backend.config.simulation import SimulationSettings
+from backend.core.flow import Outcome
+from backend.experiments.ceiling import CeilingReasoner
+from backend.experiments.closed_loop import Model, pick_and_place_in_lockstep, stack_in_lockstep
+from backend.experiments.given_models import load_model
+from backend.experiments.models import batch_model
+from backend.experiments.recipes import CELL_SEEDS, PIECES, STACKING_SEED
+from backend.experiments.scenes import Case, start_scene
+from backend.experiments.statistics import rate
+from backend.experiments.tables import UNSAFE
+from backend.experiments.worlds import Setting
+from backend.jobs.running import Workplace
+from backend.jobs.spec import JobSpec
+from backend.jobs.store import JobStore
+from backend.learning.training import one_thread
+from backend.objects.catalogue import load_catalogue
+from backend.objects.surface import face_points
+from backend.objects.tower import Tower, judge
+from backend.placement.strategy import XY, Reasoner
+from backend.sensing.episode import EpisodeLimits
+from backend.simulation.scene import Scene
+
+BOTTOMS = ("short", "long", "hex20", "rect12x28")
+"""The first two are those of the tables, with the same seeds."""
+CEILINGS = ("ceiling", "ceiling-diameter")
+"""Knowing the bench and the outline; knowing the bench and that the bottom is round."""
+STRATEGIES: tuple[str, ...] = (*get_args(StrategyName), *CEILINGS)
+CHUNK = 5
+STEP_MM, SURE_MM = 3.0, 0.2
+"""For the least number of probes: longest step, and how far inside the stable region to be."""
+Json = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Beyond:
+    """What to compare. ``models``: by piece the job or file that the model FT+Tac comes from."""
+
+    bench: SimulationSettings
+    code: str
+    models: Mapping[str, str]
+    pieces: tuple[str, ...] = ("pot",)
+    bottoms: tuple[str, ...] = ("short", "long")
+    strategies: tuple[str, ...] = ("paper", "outlines", "pressure", "ceiling")
+    trials: int = 50
+    method: StackSettings = field(default_factory=StackSettings)
+
+    def jobs(self) -> list[JobSpec]:
+        """Return all jobs: the first trials of every cell come first."""
+        return [
+            self._job(piece, bottom, strategy, first)
+            for first in range(0, self.trials, CHUNK)
+            for piece in self.pieces
+            for bottom in self.bottoms
+            for strategy in self.strategies
+        ]
+
+    def table(self, store: JobStore) -> Json:
+        """Return the counts of all finished trials, by cell and pooled by strategy."""
+        cells: dict[tuple[str, str, str], list[Json]] = {}
+        for spec in self.jobs():
+            p = spec.params
+            trials = store.result(spec.id)["trials"] if store.has(spec.id) else []
+            cells.setdefault((p["strategy"], p["piece"], p["bottom"]), []).extend(trials)
+        return {
+            "format": "touchdown-beyond/1",
+            "bench_sha256": bench_sha256(self.bench),
+            "code": self.code,
+            "models": dict(self.models),
+            "cells": [
+                {"strategy": s, "piece": piece, "bottom": bottom, **counted(trials)}
+                for (s, piece, bottom), trials in cells.items()
+            ],
+            "pooled": [
+                {"strategy": s, **counted([t for k, v in cells.items() if k[0] == s for t in v])}
+                for s in self.strategies
+            ],
+        }
+
+    def rows(self, table: Json) -> list[tuple[str, ...]]:
+        """Return a table's cells, then its pooled counts, in words."""
+        return [
+            (
+                " ".join((c["strategy"], c.get("piece", "pooled"), c.get("bottom", ""))).strip(),
+                str(c["placed"]["n"]),
+                _share(c["placed"]),
+                _share(c["unsafe"]),
+                ", ".join(f"{word} {n}" for word, n in c["outcomes"].items()),
+                "" if c["probes"] is None else f"{c['probes']:.1f}",
+            )
+            for c in (*table["cells"], *table["pooled"])
+        ]
+
+    @staticmethod
+    def effort(spec: JobSpec) -> int:
+        """Return how long a job takes compared with others, for the time that is left."""
+        return int(spec.params["trials"]) * (100 if spec.params["strategy"] in CEILINGS else 3)
+
+    def _job(self, piece: str, bottom: str, strategy: str, first: int) -> JobSpec:
+        source = "" if strategy in (*CEILINGS, "pick-and-place") else self.models[piece]
+        cell = 10 * PIECES.index(piece) + BOTTOMS.index(bottom)
+        params = {
+            "bench": self.bench.model_dump(mode="json"),
+            "method": self.method.model_dump(mode="json"),
+            "piece": piece,
+            "bottom": bottom,
+            "strategy": strategy,
+            "trials": min(CHUNK, self.trials - first),
+        }
+        seed = STACKING_SEED + CELL_SEEDS * cell + first
+        return JobSpec("beyond", params, seed, (source,) if source else (), self.code)
+
+
+def counted(trials: Sequence[Mapping[str, Any]]) -> Json:
+    """Count outcomes: placed, unsafe releases, probes of the placed, and how many were spare."""
+    outcomes = [trial["outcome"] for trial in trials]
+    placed = [trial for trial in trials if trial["outcome"] == Outcome.PLACED.value]
+    spare = [t["probes"] - t["least_probes"] for t in placed]
+    return {
+        "outcomes": {word: outcomes.count(word) for word in sorted(set(outcomes))},
+        "placed": rate(len(placed), len(trials)).as_json(),
+        "unsafe": rate(sum(word in UNSAFE for word in outcomes), len(trials)).as_json(),
+        "probes": float(np.mean([t["probes"] for t in placed])) if placed else None,
+        "excess_probes_median": float(np.median(spare)) if spare else None,
+    }
+
+
+def _share(estimate: Json) -> str:
+    if estimate["value"] is None:
+        return ""
+    value, low, high = (100 * estimate[key] for key in ("value", "low", "high"))
+    return f"{value:.1f} ({low:.1f} to {high:.1f})"
+
+
+def beyond(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
+    """Run some trials of one cell; every trial counts, whatever its outcome."""
+    p, catalogue = spec.params, load_catalogue()
+    bench = parse(SimulationSettings, p["bench"], "job")
+    case = Case.of(catalogue, p["piece"], (p["bottom"],), bench)
+    one_thread()
+    scenes = [scene for k in range(p["trials"]) if (scene := start_scene(case, spec.seed + k))]
+    method, limits = parse(StackSettings, p["method"], "job"), EpisodeLimits()
+    strategy = p["strategy"]
+    if strategy == "pick-and-place":
+        ends = pick_and_place_in_lockstep(scenes, method, limits)
+    elif strategy in CEILINGS:
+        knowing = _knowing(case, diameter_known=strategy == CEILINGS[0])
+        ends = stack_in_lockstep(scenes, _no_model(case), method, limits, knowing)
+    else:
+        model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
+        chosen = StackSettings.model_validate({**p["method"], "strategy": strategy})
+        ends = stack_in_lockstep(scenes, model, chosen, limits)
+    return {
+        "bench_sha256": bench_sha256(bench),
+        "trials": [
+            {**end.as_json(), "least_probes": least_probes(scene)}
+            for scene, end in zip(scenes, ends, strict=True)
+        ],
+    }
+
+
+def least_probes(scene: Scene) -> int:
+    """Return how many probes one would need who knew everything: at the start, then every 3 mm.
+
+    The way is that to the centre of the bottom: nearest for round ones, near it for the others.
+    """
+    start = np.asarray(scene.start_mm)
+    length = float(np.hypot(*start))
+    towards = start / max(length, 1e-9)
+    for way in np.arange(0.0, length, 0.05):
+        x, y = start - way * towards
+        body = scene.piece.body((float(x), float(y)))
+        if judge(Tower((*scene.bottoms.bodies, body))).margin_mm >= SURE_MM:
+            return 1 + ceil(way / STEP_MM)
+    return 1 + ceil(length / STEP_MM)
+
+
+def _knowing(case: Case, *, diameter_known: bool) -> Callable[[Scene, XY], Reasoner]:
+    setting = Setting(case.piece, case.bottoms[0], case.settings, diameter_known)
+    return lambda scene, at: CeilingReasoner(setting, at, scene.seed)
+
+
+def _no_model(case: Case) -> Model:
+    """Return a model that answers nothing: the ceiling reads the signals themselves."""
+    points = face_points(case.piece.face)
+    return Model(lambda seen: np.full((len(seen), len(points)), 0.5), points, None)

@@ -3,7 +3,7 @@
 Pure: no clock, no thread, no wire, so that every row of its table is tested in virtual time.
 
     backend's heartbeat older than 250 ms    HOLD; a motion under way is a fault until reset
-    motion lease lapsed                      HOLD; a new order is needed
+    motion lease lapsed 250 ms ago           HOLD; a new order is needed (jogs end before)
     STOP asked                               STOP, latched until reset
     backend gone (pipe closed, no parent)    STOP, then the process ends
     error of this program                    STOP and a fault
@@ -21,6 +21,8 @@ from backend.devices.interlock import Limits
 
 BACKEND_SILENT_S = 0.25
 """The backend beats at least every 50 ms."""
+LAPSED_S = 0.25
+"""A run whose thread was late by this much beyond its lease has lost its motion."""
 WRENCH_SILENT_S = 0.3
 """A wrist sensor that is silent for longer forbids new motion."""
 
@@ -93,7 +95,7 @@ class RigCore:
             return Outbox(stop=True)
         if not now_s - self._beat_s <= BACKEND_SILENT_S:
             return self._fall_silent(now_s - self._beat_s, moving=inbox.moving)
-        if inbox.moving and not now_s <= inbox.lease_until_s:
+        if inbox.moving and not now_s <= inbox.lease_until_s + LAPSED_S:
             return Outbox(hold=True, why=LAPSED)
         return Outbox()
 

@@ -33,6 +33,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.store_files",
     "tests.bench.queues",
     "tests.bench.arm",
+    "tests.bench.arm_rig",
     "tests.bench.faults",
     "tests.bench.wired",
 )

@@ -73,7 +73,7 @@ def test_a_lease_that_is_not_renewed_ends_the_motion_and_nothing_else(rig):
     motion = rig.lift()
     rig.rounds(0.05)
     rig.leased = False
-    rig.rounds(0.27)
+    rig.rounds(0.52)
     assert rig.fault_of(motion).code == "LEASE-LAPSED"
     assert rig.told("fault") == []
     rig.rounds(0.1)

@@ -299,7 +299,7 @@ class GelsightSettings(Settings):
     """GelSight Mini."""
 
     driver: Annotated[str, Field(min_length=1)] = "gelsight"
-    """gelsight, or one that an entry point adds."""
+    """gelsight, lerobot, or one that an entry point adds."""
     left: FingerCameraSettings = FingerCameraSettings()
     right: FingerCameraSettings = FingerCameraSettings()
     by_id: str = "/dev/v4l/by-id"
@@ -321,6 +321,18 @@ class GelsightSettings(Settings):
     keep_jpeg: bool = True
 
 
+class LerobotSettings(Settings):
+    """Cameras of the package lerobot: ``gelsight.driver = "lerobot"``."""
+
+    config: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")] = (
+        "lerobot.cameras.opencv:OpenCVCameraConfig"
+    )
+    """Module and class of the camera's configuration."""
+    left: str = "{}"
+    """Its fields, as JSON, such as {"index_or_path": 2}."""
+    right: str = "{}"
+
+
 class HardwareSettings(Settings):
     """All of them, one table of the bench file per device."""
 
@@ -334,3 +346,4 @@ class HardwareSettings(Settings):
     bota: BotaSettings = BotaSettings()
     netft: NetftSettings = NetftSettings()
     gelsight: GelsightSettings = GelsightSettings()
+    lerobot: LerobotSettings = LerobotSettings()

@@ -31,7 +31,10 @@ Captured: TypeAlias = tuple[float, int, bytes | ImageArray]
 
 
 class TactileCamera:
-    """``finger`` of ``settings``; pictures are stamped by ``now_s`` when they arrive."""
+    """``finger`` of ``settings``; pictures are stamped by ``now_s`` when they arrive.
+
+    ``identity``: who it is, where ``open_camera`` needs no path that leads to it.
+    """
 
     def __init__(
         self,
@@ -40,12 +43,13 @@ class TactileCamera:
         now_s: Callable[[], float],
         frames: Stream[TactileFrame] | None = None,
         open_camera: Callable[[Path, GelsightSettings], Source] = open_source,
+        identity: Identity | None = None,
     ) -> None:
         self.finger: Finger = finger
         self.name = f"tactile_{finger}"
         self._settings = settings
         self._own = settings.left if finger == "left" else settings.right
-        self._now_s, self._open_camera = now_s, open_camera
+        self._now_s, self._open_camera, self._given = now_s, open_camera, identity
         self._frames = frames or Stream(self.name, CAPACITY)
         self._newest: Newest[Captured] = Newest()
         self._stop, self._first = threading.Event(), threading.Event()
@@ -135,6 +139,9 @@ class TactileCamera:
 
     def find(self) -> Path:
         """Return where the camera is now; raises ``FaultError``."""
+        if self._given is not None:
+            self._identity = self._given
+            return Path(self.name)
         if self._own.file:
             self._identity = Identity("", "video file", Path(self._own.file).name, "")
             return Path(self._own.file)

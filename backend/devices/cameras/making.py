@@ -1,4 +1,4 @@
-"""Which tactile cameras a bench file means: the GelSight, others by entry point."""
+"""Which tactile cameras a bench file means: GelSight, LeRobot's, others by entry point."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from backend.config.hardware import HardwareSettings
 from backend.core.flow import Finger, TactileFrame
 from backend.core.stream import Stream
 from backend.devices.cameras.driver import TactileCamera
+from backend.devices.cameras.lerobot import make_lerobot
 from backend.devices.offered import find_offered
 from backend.devices.protocols import TactileSensor
 
@@ -26,7 +27,7 @@ def make_tactile(
     frames: Stream[TactileFrame],
 ) -> TactileSensor:
     """Return the driver of ``gelsight.driver`` for one finger; raises ``InputError``."""
-    shipped: dict[str, TactileMaker] = {"gelsight": _gelsight}
+    shipped: dict[str, TactileMaker] = {"gelsight": _gelsight, "lerobot": make_lerobot}
     maker = find_offered(GROUP, settings.gelsight.driver, shipped, "gelsight.driver")
     return maker(finger, settings, now_s, frames)
 

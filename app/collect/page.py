@@ -86,6 +86,9 @@ class CollectPage(QWidget):
         self._left.setMinimumWidth(round(17.5 * em))
         self._left.setMaximumWidth(round(22 * em))
         self._right.setMinimumWidth(round(22 * em))
+        for plot in (self.force, self.moment):
+            # With large text the figures would leave no room for the curves.
+            plot.setMinimumSize(max(200, round(12 * em)), max(104, round(6.1 * em)))
         self.table.fit_to_theme()
         self.target.draw_icons()
 

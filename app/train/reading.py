@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from backend.assembly import model_in_use
 from backend.catalogue.training_set import LABEL_CHOICES
 from backend.core.faults import InputError
 from backend.core.flow import FloatArray
+from backend.learning.checkpoint import load_card
 from backend.learning.overview import Candidate, Overview, candidates, overview
 from backend.learning.registry import SHIPPED, Registry
 from backend.learning.samples import Sample, load_samples
@@ -23,12 +25,17 @@ HOW_TO_GET_DATA = "Collect probes (Ctrl+2), or choose another folder (Ctrl+O)."
 
 @dataclass(frozen=True, slots=True)
 class InUse:
-    """The model in use for ``piece`` ("" is the shipped one); ``before``: None if never changed."""
+    """The model in use for ``piece`` ("" is the shipped one); ``before``: None if never changed.
+
+    ``probes``: on how many hardware probes it was evaluated; None for a model that has seen more
+    than simulations.
+    """
 
     piece: str
     weights_sha256: str
     before: str | None
     since_ns: int
+    probes: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +86,15 @@ class Reading:
         path, history = self._registry.in_use(piece), self._registry.history(piece)
         sha256 = SHIPPED if path is None else path.stem
         since_ns = history[-1].at_ns if history else 0
-        return InUse(piece, sha256, self._registry.before(piece), since_ns)
+        return InUse(piece, sha256, self._registry.before(piece), since_ns, self._probes(piece))
+
+    def _probes(self, piece: str) -> int | None:
+        """Return on how many hardware probes a model of simulations was evaluated, else None."""
+        try:
+            card = load_card(model_in_use(piece, self._registry))
+        except InputError:
+            return None
+        return self._registry.hardware_probes(card.weights_sha256) if card.simulated else None
 
     def promote(self, run: TrainingRun) -> InUse | None:
         """Put the model of a training in use."""

@@ -10,6 +10,7 @@ from typing import Any
 from app.train.reading import InUse
 from backend.core.faults import FaultError, InputError
 from backend.dataset.splits import kept_words
+from backend.learning.alone import HARDWARE_PROBES
 from backend.learning.checkpoint import Card
 from backend.learning.overview import Overview
 from backend.learning.registry import SHIPPED
@@ -55,12 +56,25 @@ def in_use_words(in_use: InUse | None) -> str:
     """Say which model is in use, and what a roll back would bring."""
     if in_use is None:
         return ""
+    alone = alone_words(in_use.probes)
     if in_use.before is None:
-        return f"In use for {in_use.piece}: the model that ships."
+        return f"In use for {in_use.piece}: the model that ships. {alone}".strip()
     since = datetime.fromtimestamp(in_use.since_ns / 1e9)
     return (
         f"In use for {in_use.piece}: {_model(in_use.weights_sha256)} "
-        f"since {since:%d %b %H:%M}; before it {_model(in_use.before)}."
+        f"since {since:%d %b %H:%M}; before it {_model(in_use.before)}. {alone}"
+    ).strip()
+
+
+def alone_words(probes: int | None) -> str:
+    """Say whether a model of simulations may decide without being asked on hardware."""
+    if probes is None:
+        return ""
+    if probes >= HARDWARE_PROBES:
+        return f"Auto on hardware: evaluated on {probes} hardware probes."
+    return (
+        "From simulations alone: on hardware approve or step mode only "
+        f"({probes} of {HARDWARE_PROBES} hardware probes evaluated)."
     )
 
 
@@ -121,8 +135,19 @@ def difference_rows(runs: Sequence[TrainingRun]) -> list[tuple[str, ...]]:
 
 
 def figure_rows(runs: Sequence[TrainingRun]) -> list[tuple[str, ...]]:
-    """Return IoU and points right on the held-out side, per bottom and in all."""
+    """Return IoU and points right on the held-out side, per bottom and in all.
+
+    Trainings for different pieces have no bottom in common: each row then names its piece.
+    """
+    pieces = [str(run.about.params.get("piece", "?")) for run in runs]
     tables = [_bottoms(run) for run in runs]
+    if len(set(pieces)) > 1:
+        tables = [
+            {f"{piece}, {name}": one for name, one in table.items()}
+            for piece, table in zip(pieces, tables, strict=True)
+        ]
+        rows = sorted({name for table in tables for name in table})
+        return [(name, *(_pair(table.get(name)) for table in tables)) for name in rows]
     names = sorted({name for table in tables for name in table} - {"all"})
     if any("all" in table for table in tables):
         names.append("all")

@@ -5,6 +5,8 @@ import subprocess
 import sys
 
 from app.error_hooks import log_to
+from backend.core.facts import Paused, PhaseEntered
+from backend.core.faults import Fault
 from tests.app.conftest import settle
 from widgets.fault_cards import CardText, Question
 
@@ -143,3 +145,16 @@ def test_every_page_is_drawn_on_a_screen_twice_as_fine(tmp_path):
     lines = done.stdout.splitlines()
     assert [line.split(maxsplit=1)[1] for line in lines[:5]] == 5 * ["2560 1440 2.0 True"]
     assert lines[5] == "failure None"
+
+
+def test_a_run_that_paused_by_itself_says_why_until_it_goes_on(live, bench):
+    full = Fault("DISK-FULL", "The disk is full.", "The campaign is paused.", "Make room.")
+    for times in (1, 2):
+        bench.hub.publish(Paused(1.0, full))
+        settle(live)
+        card = live.cards.card("DISK-FULL")
+        assert (card.text.reset, card.count) == (False, times)
+    assert not bench.interlock.latched
+    bench.hub.publish(PhaseEntered(2.0, "press", 3))
+    settle(live)
+    assert live.cards.codes == ()

@@ -1,4 +1,4 @@
-"""The work of ``touchdown simulate``, shared out over spawned processes."""
+"""The work of ``touchdown simulate``: here, or shared out over spawned processes."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ POLL_S = 0.2
 
 
 def run_jobs(jobs: Sequence[Job], workers: int, advance: Callable[[int], None]) -> int:
-    """Run all jobs in ``workers`` spawned processes; returns the number of probes drawn again.
+    """Run all jobs, here or in ``workers`` processes; returns the number of probes drawn again.
 
     ``advance`` gets the number of finished episodes. An error in a job stops the rest.
     """
+    workers = min(workers, len(jobs))
+    if workers == 1:
+        return _run_here(jobs, advance)
     context = multiprocessing.get_context("spawn")
     finished = context.Value("q", 0)
     rejected = 0
-    with ProcessPoolExecutor(
-        min(workers, len(jobs)), context, initializer=_count_in, initargs=(finished,)
-    ) as pool:
+    with ProcessPoolExecutor(workers, context, initializer=_count_in, initargs=(finished,)) as pool:
         waiting = {pool.submit(run_job, job) for job in jobs}
         try:
             while waiting:
@@ -37,12 +38,27 @@ def run_jobs(jobs: Sequence[Job], workers: int, advance: Callable[[int], None]) 
     return rejected
 
 
-def run_job(job: Job) -> int:
-    """Simulate and write one job; returns the number of probes drawn again."""
+def _run_here(jobs: Sequence[Job], advance: Callable[[int], None]) -> int:
+    """Spare a process that would first have to load everything anew."""
+    finished = 0
+
+    def count(episodes: int) -> None:
+        nonlocal finished
+        finished += episodes
+        advance(finished)
+
+    return sum(run_job(job, count) for job in jobs)
+
+
+def run_job(job: Job, count: Callable[[int], None] | None = None) -> int:
+    """Simulate and write one job; returns the number of probes drawn again.
+
+    ``count`` gets the size of each batch; without it the counter of this worker does.
+    """
     batches: list[EpisodeBatch] = []
     for batch in simulate(job.plan, job.grips):
         batches.append(batch)
-        _count(len(batch.episode))
+        (count or _count)(len(batch.episode))
     write_packs(job.folder, job.stem, rows_of(job, batches), metadata_of(job))
     return sum(batch.rejected for batch in batches)
 

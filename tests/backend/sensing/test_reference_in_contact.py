@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from backend.assembly import simulated_session
+from backend.config.method import PolicySettings
 from backend.core.facts import Fact, PhaseEntered
 from backend.core.faults import InputError, RefusedError
 from backend.core.flow import FINGERS, TactileFrame
@@ -19,6 +20,7 @@ from backend.sensing.live import LiveSensing, RawStreams
 from backend.sensing.pictures import read_pictures
 from backend.session import Keep
 from backend.verbs.track import rest_places
+from tests.backend.brisk import brisk_bench, brisk_method
 from tests.backend.sensing.known_truth import GELSIGHT, REST_FRAME, bump_field, rest_dots, warp
 from tests.backend.sensing.test_real_gels import LARGE
 
@@ -63,7 +65,8 @@ def test_a_gel_that_moves_is_refused(tmp_path: Path) -> None:
 def test_both_simulated_fingers_are_accepted_in_air_and_refused_in_the_press(
     tmp_path: Path,
 ) -> None:
-    session = simulated_session(keep=Keep(None))
+    once = brisk_method().model_copy(update={"policy": PolicySettings(max_probes=1)})
+    session = simulated_session(brisk_bench(), keep=Keep(None), method=once)
 
     def grab(fact: Fact) -> None:
         if isinstance(fact, PhaseEntered) and (fact.phase, fact.probe) in (

@@ -11,18 +11,22 @@ from backend.catalogue.dataset import Dataset
 from backend.dataset.coverage import coverage
 from backend.objects.shapes import circle
 from backend.verbs.collect import coverage_text
+from tests.backend.brisk import RATE_HZ
 
 
 @pytest.mark.slow
 def test_a_campaign_is_collected_and_gone_on_with(tmp_path, capsys) -> None:
+    bench = tmp_path / "bench.toml"
+    bench.write_text(f'preset = "quiet"\n[tactile]\nrate_hz = {RATE_HZ}\n', "utf-8")
     words = ["--dataset", str(tmp_path / "ds"), "--runs", str(tmp_path / "runs"), "--json"]
-    given = ["--count", "2", "--preset", "quiet", "--person", "ann"]
+    words += ["--bench", str(bench)]
+    given = ["--count", "2", "--probes-per-grip", "2", "--person", "ann"]
     assert main(["collect", *given, *words, "--inject", "force_torque:stop@14"]) == 1
     first = json.loads(capsys.readouterr().out)
     assert first["ending"] == "failed"
     assert first["faults"]
     assert (first["collected"], first["count"], first["simulated"]) == (1, 2, True)
-    assert main(["collect", "--resume", "--person", "bob", "--preset", "quiet", *words]) == 0
+    assert main(["collect", "--resume", "--person", "bob", *words]) == 0
     second = json.loads(capsys.readouterr().out)
     assert second["campaign"] == first["campaign"]
     assert (second["ending"], second["collected"], second["findings"]) == ("finished", 2, [])

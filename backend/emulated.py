@@ -27,6 +27,7 @@ from backend.emulators.truth import RemoteTruth
 from backend.learning.registry import Registry
 from backend.objects.catalogue import load_catalogue
 from backend.rig.flight import FlightRecorder
+from backend.rig.link import LATE_S
 from backend.rig.wired import WiredDevices
 from backend.runs.bench import NoModel
 from backend.runs.requests import SceneChoice
@@ -130,7 +131,7 @@ class EmulatedBench:
             payload=gripper_payload(wrist.payload_kg, wrist.payload_com_mm),
             outline=scene.surface,
             jig=_jig(scene),
-            wrench_late_s=1e-3 * hardware.ft.latency_ms,
+            wrench_late_s=1e-3 * hardware.ft.latency_ms + LATE_S,
         )
 
     def _check(self, choice: SceneChoice) -> Mapping[str, object]:

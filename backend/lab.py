@@ -23,6 +23,7 @@ from backend.objects.catalogue import Catalogue, Piece, load_catalogue
 from backend.placement.estimator import Estimator
 from backend.rig.connection import Connection
 from backend.rig.flight import FlightRecorder
+from backend.rig.link import LATE_S
 from backend.rig.wired import WiredDevices
 from backend.runs.bench import NoModel
 from backend.runs.requests import SceneChoice
@@ -116,7 +117,7 @@ class _LabBench:
             estimator=self._models.of(choice, piece) or NoModel(),
             payload=gripper_payload(mounting.payload_kg, mounting.payload_com_mm),
             outline=self._catalogue.bottom(choice.bottoms[-1]).face,
-            wrench_late_s=1e-3 * settings.ft.latency_ms,
+            wrench_late_s=1e-3 * settings.ft.latency_ms + LATE_S,
         )
 
     def check(self, choice: SceneChoice) -> Mapping[str, object]:

@@ -27,6 +27,8 @@ from backend.rig.memory import BACKEND_BEAT, STOPS, SharedMemory, drop, make
 from backend.rig.messages import Message, read_error, read_fault
 
 BEAT_S = 0.005
+LATE_S = 0.01
+"""So old a sample may be when it comes: a round of the rig, and one of this thread."""
 RIG_SILENT_S = 0.25
 START_S = 20.0
 ORDER_S = 60.0
@@ -78,6 +80,7 @@ class RigLink:
         self._stops = self._stops_reset = self._faults = self._faults_reset = 0
         self._limits: Limits | None = None
         self._rows: Mapping[str, Any] = {}
+        self._seen = 0
         self._greeting = _Answer()
         self.lost: Fault | None = None
         """Why the rig is gone without having been asked to; None while it runs or is not needed."""
@@ -118,7 +121,8 @@ class RigLink:
         self._ending, self._greeting = threading.Event(), _Answer()
         self._stops = self._stops_reset = self._faults = self._faults_reset = 0
         self._cursors = [0, 0]
-        self._memory, self._limits, self._rows = memory, self._interlock.limits, {}
+        self._memory, self._limits = memory, self._interlock.limits
+        self._rows, self._seen = {}, 0
         memory.beat(BACKEND_BEAT)
         self._child = child = subprocess.Popen(
             [sys.executable, "-m", "backend.rig.process"],
@@ -225,8 +229,11 @@ class RigLink:
     def row(self, device: str) -> Mapping[str, Any]:
         """Return how a device stands, empty while there is no rig."""
         memory = self._memory
-        if memory is not None and self._child is not None:
-            self._rows = memory.seen() or self._rows
+        if memory is not None and self._child is not None and memory.states != self._seen:
+            seen = memory.states
+            rows = memory.seen()
+            if rows is not None:
+                self._rows, self._seen = rows, seen
         found = self._rows.get(device, {})
         assert isinstance(found, Mapping)
         return found

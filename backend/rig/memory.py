@@ -111,6 +111,11 @@ class SharedMemory:
         """Bench time until which motion is permitted."""
         return float(self._lease[0])
 
+    @property
+    def states(self) -> int:
+        """How many states were shown."""
+        return int(self._words[STATE])
+
     def beat(self, word: int) -> None:
         """Count up a word of which this side is the only writer."""
         self._words[word] += 1

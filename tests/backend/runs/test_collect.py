@@ -291,6 +291,16 @@ def test_a_campaign_pauses_before_the_next_probe_while_the_disk_has_no_room(
         assert [entry.plan_item for entry in collected.entries] == [0, 1]
 
 
+def test_a_campaign_is_refused_with_the_figure_below_1_gb(tmp_path, monkeypatch) -> None:
+    with collecting(tmp_path / "ds") as collected:
+        usage = SimpleNamespace(free=900_000_000)
+        monkeypatch.setattr(diskspace.shutil, "disk_usage", lambda _place: usage)
+        with pytest.raises(InputError, match=r"Only 0\.90 GB are free; collecting needs 1\.00 GB"):
+            collected.run(count=2)
+        assert collected.of(PhaseEntered) == []
+        assert collected.entries == []
+
+
 def test_a_campaign_cancelled_on_a_full_disk_goes_on_later(tmp_path, monkeypatch) -> None:
     with collecting(tmp_path / "ds") as collected:
         record, session = collected.dataset.record, collected.session

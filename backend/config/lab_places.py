@@ -51,7 +51,8 @@ def _places(settings: HardwareSettings) -> Iterator[tuple[str, bool]]:
     else:
         yield "melfa.host", _is_loopback(settings.melfa.host)
     yield "wsg.host", _is_loopback(settings.wsg.host)
-    yield "ft.address", _is_here(settings.ft.address)
+    if settings.ft.driver != "melfa" or settings.ft.address:  # else the arm's own controller
+        yield "ft.address", _is_here(settings.ft.address)
     gelsight = settings.gelsight
     filmed = bool(gelsight.left.file and gelsight.right.file)
     yield "gelsight.by_id", filmed or not _is_below(Path(gelsight.by_id), DEVICES)

@@ -23,6 +23,7 @@ from backend.emulators.gelsight import GelsightFront
 from backend.emulators.leptrino import EmulatedLeptrino
 from backend.emulators.loads import hanging, noisy, suffering
 from backend.emulators.melfa import TIMEOUT_CYCLES, EmulatedMelfa, MelfaFront
+from backend.emulators.melfa_monitor import TYPE_FORCE, EmulatedMonitor
 from backend.emulators.netft import EmulatedCalibration, EmulatedNetFt, EmulatedPage
 from backend.emulators.optoforce import CAPACITY, COUNTS, EmulatedOptoforce
 from backend.emulators.wsg import EmulatedWsg
@@ -38,7 +39,7 @@ SERIAL: dict[str, Callable[[Wrench], Emulated]] = {
 }
 """Wrist sensors on a serial port."""
 SUFFERS = {
-    **dict.fromkeys((*SERIAL, "netft"), "force_torque"),
+    **dict.fromkeys((*SERIAL, "netft", "monitor"), "force_torque"),
     "wsg": "gripper",
     "melfa": "arm",
     "gelsight": "tactile",
@@ -104,8 +105,7 @@ def emulate(choice: Choice) -> Emulation:
     try:
         if choice.kind in SERIAL:
             return _serial(choice, faults)
-        makers = {"netft": _net_ft, "wsg": _wsg, "melfa": _melfa, "gelsight": _gelsight}
-        return makers[choice.kind](choice, faults)
+        return MAKERS[choice.kind](choice, faults)
     except OSError as error:
         where = str(choice.tty) if choice.tty else f"{choice.host}:{choice.port or 0}"
         raise InputError(
@@ -151,6 +151,16 @@ def _net_ft(choice: Choice, faults: Faults) -> Emulation:
     return Emulation((front, channel, page), bench)
 
 
+def _monitor(choice: Choice, faults: Faults) -> Emulation:
+    sensor = EmulatedMonitor(suffering(choice.wrench, faults))
+    front = UdpFront(sensor, choice.host, choice.port or 0, faults=faults)
+    bench: dict[str, Mapping[str, object]] = {
+        "ft": {"driver": "melfa", "address": front.url},
+        "melfa.monitor": {"type_force": TYPE_FORCE},
+    }
+    return Emulation((front,), bench)
+
+
 def _wsg(choice: Choice, faults: Faults) -> Emulation:
     gripper = EmulatedWsg(part_mm=choice.part_mm, faults=faults)
     mouth: Emulated = EmulatedGcl(gripper) if choice.text else gripper
@@ -193,3 +203,12 @@ def _gelsight(choice: Choice, faults: Faults) -> Emulation:
     film = recorded(choice.film) if choice.film else sheared_gel(choice.finger)
     front = GelsightFront(film, choice.folder, choice.serial, faults=faults)
     return Emulation((front,), camera_tables(choice.folder, {choice.finger: choice.serial}))
+
+
+MAKERS: dict[str, Callable[[Choice, Faults], Emulation]] = {
+    "netft": _net_ft,
+    "monitor": _monitor,
+    "wsg": _wsg,
+    "melfa": _melfa,
+    "gelsight": _gelsight,
+}

@@ -17,7 +17,7 @@ from tests.bench.registry import Figure, figure
 TRIALS: Sequence[tuple[str, Callable[[int], object], int]] = (
     ("arm", trials_arm.trial, 120),
     ("gripper, both protocols", trials_gripper.trial, 150),
-    ("wrist sensors, six makes", trials_wrist.trial, 180),
+    ("wrist sensors, seven makes", trials_wrist.trial, 180),
     ("tactile cameras", trials_camera.trial, 120),
     ("devices while collecting", faults_collecting.trial, 30),
 )

@@ -14,6 +14,7 @@ from backend.devices.force_torque.ft300 import Ft300Language
 from backend.devices.force_torque.language import Language
 from backend.devices.force_torque.leptrino import LeptrinoLanguage
 from backend.devices.force_torque.links import Link, open_link
+from backend.devices.force_torque.melfa_monitor import MelfaLanguage, monitor_address
 from backend.devices.force_torque.netft import NetFtLanguage
 from backend.devices.force_torque.optoforce import OptoforceLanguage
 from backend.devices.force_torque.reader import ForceTorqueReader
@@ -31,6 +32,7 @@ LANGUAGES: dict[str, LanguageMaker] = {
     "bota": BotaLanguage,
     "optoforce": OptoforceLanguage,
     "netft": NetFtLanguage,
+    "melfa": MelfaLanguage,
 }
 
 
@@ -41,6 +43,8 @@ def make_force_torque(
 ) -> ForceTorqueReader:
     """Return the driver of ``ft.driver`` at ``ft.address``; raises ``InputError``."""
     address = settings.ft.address
+    if not address and settings.ft.driver == "melfa":
+        address = monitor_address(settings)
     if not address:
         raise InputError(
             "The sensor has no address.", "ft.address", "Name its serial port or host."

@@ -23,13 +23,16 @@ from backend.emulators.front_udp import UdpFront
 from backend.emulators.ft300 import EmulatedFt300
 from backend.emulators.leptrino import EmulatedLeptrino
 from backend.emulators.loads import noisy, suffering
+from backend.emulators.melfa_monitor import TYPE_FORCE, EmulatedMonitor
 from backend.emulators.netft import PER_UNIT, EmulatedNetFt
 from backend.emulators.optoforce import CAPACITY, COUNTS, EmulatedOptoforce
+from backend.wire.melfa_joints import CYCLE_S
 from tests.backend.devices.waiting import until
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
 TREMBLE = (0.03, 0.03, 0.03, 0.003, 0.003, 0.003)
-RATE_HZ = {"ft300": 100.0}
+RATE_HZ = {"ft300": 100.0, "melfa": 1.0 / CYCLE_S}
+DATAGRAMS = ("netft", "melfa")
 EMULATED = {
     "dynpick": EmulatedDynpick,
     "leptrino": EmulatedLeptrino,
@@ -37,6 +40,7 @@ EMULATED = {
     "bota": EmulatedBota,
     "optoforce": EmulatedOptoforce,
     "netft": EmulatedNetFt,
+    "melfa": EmulatedMonitor,
 }
 
 
@@ -47,7 +51,7 @@ class Wired:
         self.kind = kind
         self.faults = Faults("force_torque")
         sensor = EMULATED[kind](suffering(noisy(lambda now_s: LOAD, TREMBLE), self.faults))
-        if kind == "netft":
+        if kind in DATAGRAMS:
             self.front = UdpFront(sensor, faults=self.faults)
         elif sys.platform == "win32":
             self.front = TcpFront(sensor, faults=self.faults)
@@ -58,6 +62,7 @@ class Wired:
             "optoforce": {"counts": COUNTS, "capacity": CAPACITY},
             # Nothing listens there: the scale of the settings counts.
             "netft": {"counts": (PER_UNIT, PER_UNIT), "http_port": 1, "tcp_port": 1},
+            "melfa": {"monitor": {"type_force": TYPE_FORCE}},
         }
         self.driver = make_force_torque(HardwareSettings.model_validate(settings), time.monotonic)
         self.front.start()

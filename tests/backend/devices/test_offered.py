@@ -52,6 +52,7 @@ def broken():
         ({"ft": {"driver": "mine", "address": "x"}}, "cannot be loaded.*my_lab"),
         ({"ft": {"driver": "dynpick"}}, "no address"),
         ({"ft": {"driver": "optoforce", "address": "x"}}, "scale"),
+        ({}, "real-time monitor is not known"),
     ],
 )
 def test_what_cannot_be_made_is_one_error(monkeypatch, tables, said):

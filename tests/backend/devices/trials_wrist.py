@@ -21,6 +21,7 @@ from backend.emulators.faults import Faults
 from backend.emulators.ft300 import EmulatedFt300
 from backend.emulators.leptrino import EmulatedLeptrino
 from backend.emulators.loads import noisy, suffering
+from backend.emulators.melfa_monitor import TYPE_FORCE, EmulatedMonitor
 from backend.emulators.netft import PER_UNIT, EmulatedNetFt
 from backend.emulators.optoforce import CAPACITY, COUNTS, EmulatedOptoforce
 from tests.backend.devices.trials import Ended
@@ -32,11 +33,13 @@ EMULATED = {
     "bota": EmulatedBota,
     "optoforce": EmulatedOptoforce,
     "netft": EmulatedNetFt,
+    "melfa": EmulatedMonitor,
 }
 SETTINGS = HardwareSettings.model_validate(
     {
         "optoforce": {"counts": COUNTS, "capacity": CAPACITY},
         "netft": {"counts": (PER_UNIT, PER_UNIT), "http_port": 1, "tcp_port": 1},
+        "melfa": {"monitor": {"type_force": TYPE_FORCE}},
     }
 )
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
@@ -45,6 +48,7 @@ NEAR_N, FAR_N = 0.5, 50.0
 """How near a number must be to the load; without a checksum, how far at most (reliability S2)."""
 WIRE = ("lost", "flip", "garbage", "cut", "duplicate", "late")
 KINDS = (*WIRE, "silent", "mute", "freeze", "saturate", "unplug", "stalled")
+DATAGRAMS = ("netft", "melfa")
 DATAGRAM_KINDS = (*(kind for kind in KINDS if kind != "flip"), "reorder")
 """The network's own checksum drops a datagram with a wrong bit."""
 SHORT_S, LONG_S = 0.1, 0.5
@@ -140,7 +144,7 @@ class WristTrial:
         link, language = reader._begin(Impatient(clock))
         reader._forget()
         reader._state = DeviceState.READY
-        fault = self.rng.choice(DATAGRAM_KINDS if self.kind == "netft" else KINDS)
+        fault = self.rng.choice(DATAGRAM_KINDS if self.kind in DATAGRAMS else KINDS)
         begun_s = clock.now_s() + self.rng.uniform(0.3, 0.6)
         self._plan(fault, begun_s)
         link.end_s, link.at_end = begun_s + 1.2, reader._stop.set

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Literal
 
 from PySide6.QtCore import QObject, Qt, QTimer
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QWidget
 
 from widgets.theme import LEAST, MOST, THEMES, Theme, ThemeName
 
@@ -33,20 +33,22 @@ class Appearance(QObject):
         self.refit: Callable[[], None] = _nothing_yet
         self.theme.choose(application, self._name(), scale)
         self._wanted_scale = self.theme.scale
+        self._window: QWidget | None = None
         self._settled = QTimer(self)
         self._settled.setSingleShot(True)
         self._settled.setInterval(SETTLE_MS)
         self._settled.timeout.connect(self._show_wanted)
         application.styleHints().colorSchemeChanged.connect(self._follow)
 
-    def dress(self) -> None:
+    def dress(self, window: QWidget) -> None:
         """Show the theme on a window that was just made."""
+        self._window = window
         self.show(self.choice, self.theme.scale)
 
     def show(self, choice: Choice, scale: float) -> None:
         """Switch to a theme and a font scale (0.8 to 2)."""
         self.choice = choice
-        self.theme.apply(self._application, self._name(), scale)
+        self.theme.apply(self._application, self._name(), scale, self._window)
         self._wanted_scale = self.theme.scale
         self.refit()
 

@@ -102,7 +102,7 @@ class TouchdownApp(QObject):
         # Under a style sheet its page would take twice as long.
         self.workspaces[front]
         self.look.refit = self._refit
-        self.look.dress()
+        self.look.dress(self.window)
         self.pump = Pump(self, self._pull, hold=self._hushed)
         self._add_parts()
         self._stop_key = StopKey(self, self.stop, self._moving)
@@ -146,6 +146,7 @@ class TouchdownApp(QObject):
         self._pull_back()
         self.window.show()
         self.pump.start()
+        self.workspaces.make_ahead(self, self._hushed)
 
     def close(self) -> None:
         """Remember the window, end the bench; safe to call twice."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -74,8 +74,9 @@ class Workspace:
     parts: Sequence[Callable[[], None]] = ()
     """What draws the page, in pieces of few ms; called in turn while the page is in front."""
 
-    def build(self) -> None:
-        """Make the page; called once, before anything below."""
+    def build(self) -> Iterator[None]:
+        """Make the page, in pieces of some ms; called once, before anything below."""
+        yield
 
     def attach(self, link: Link) -> None:
         """Take a bench that is ready."""

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
+from PySide6.QtCore import QObject, QTimer
+from PySide6.QtWidgets import QWidget
+from shiboken6 import isValid
+
 from app.collect.workspace import CollectWorkspace
 from app.link import Link
 from app.operate.workspace import OperateWorkspace
@@ -23,6 +27,10 @@ WORKSPACES: tuple[Callable[[Desk], Workspace], ...] = (
 )
 FIRST = "stack"
 """In front at the first start."""
+IDLE_MS = 20
+"""Between two pieces of pages that are made ahead."""
+AT_ONCE = 25
+"""So many widgets take the style sheet in one piece: some 5 ms."""
 
 
 class Workspaces(Mapping[str, Workspace]):
@@ -43,14 +51,17 @@ class Workspaces(Mapping[str, Workspace]):
         """All of them; those without a page have a name and commands only."""
         self._remembered, self._place, self._warn = remembered, place, warn
         self._ready: dict[str, Workspace] = {}
+        self._begun: dict[str, Iterator[None]] = {}
+        self._ahead: QTimer | None = None
         self._waiting = ("", "")
         self._link: Link | None = None
         self._facts: list[Fact] = []
 
     def __getitem__(self, name: str) -> Workspace:
         """Return a workspace with its page; raises KeyError."""
-        ready = self._ready.get(name)
-        return self._made(name) if ready is None else ready
+        while name not in self._ready:
+            next(self._making(name))
+        return self._ready[name]
 
     def __contains__(self, name: object) -> bool:
         """Whether there is such a workspace, with a page or without."""
@@ -73,6 +84,28 @@ class Workspaces(Mapping[str, Workspace]):
     def missing(self) -> Sequence[str]:
         """The names of those that have none yet."""
         return [name for name in self if name not in self._ready]
+
+    def make_ahead(self, parent: QObject, hold: Callable[[], bool]) -> None:
+        """Make the other pages, piece by piece, so that a first visit is a quick one.
+
+        Nothing is made while ``hold`` asks for quiet.
+        """
+        timer = self._ahead = QTimer(parent)
+
+        def go_on() -> None:
+            if not hold() and not self.prepare():
+                timer.stop()
+
+        timer.timeout.connect(go_on)
+        timer.start(IDLE_MS)
+
+    def prepare(self) -> bool:
+        """Do one piece of the pages that are missing; False when none is."""
+        name = next(iter((*self._begun, *self.missing)), None)
+        if name is None:
+            return False
+        next(self._making(name), None)
+        return True
 
     # -- to all that have a page; the others hear of it when theirs is made ------------------------
 
@@ -107,26 +140,43 @@ class Workspaces(Mapping[str, Workspace]):
 
     def close(self) -> None:
         """End what runs beside the window."""
+        if self._ahead is not None:
+            self._ahead.stop()
+        for name in [*self._begun]:
+            # What a page that is half made has begun, the whole one can end.
+            self[name]
         for ws in self.ready:
             ws.close()
 
     # -- inside -----------------------------------------------------------------------------------
 
-    def _made(self, name: str) -> Workspace:
-        made = next((ws for ws in self.all if ws.name == name), None)
-        if made is None:
-            raise KeyError(name)
-        made.build()
-        self._ready[name] = made
-        self._place(made)
-        made.fit_to_theme()
-        made.show_waiting(*self._waiting)
-        if name in self._remembered:
-            self._warn(ignored_words(made.recall(self._remembered[name])))
+    def _making(self, name: str) -> Iterator[None]:
+        """Return the making of a page, as far as it has come; raises KeyError."""
+        if name not in self._begun:
+            made = next((ws for ws in self.all if ws.name == name), None)
+            if made is None:
+                raise KeyError(name)
+            self._begun[name] = self._make(made)
+        return self._begun[name]
+
+    def _make(self, ws: Workspace) -> Iterator[None]:
+        yield from ws.build()
+        self._place(ws)
+        yield
+        self._ready[ws.name] = ws
+        ws.fit_to_theme()
+        ws.show_waiting(*self._waiting)
+        if ws.name in self._remembered:
+            self._warn(ignored_words(ws.recall(self._remembered[ws.name])))
         if self._link is not None:
-            made.attach(self._link)
+            ws.attach(self._link)
         for fact in self._facts:
-            made.take(fact)
+            ws.take(fact)
         if not self.missing:
             self._facts.clear()
-        return made
+        parts = ws.page.findChildren(QWidget)
+        for first in range(0, len(parts), AT_ONCE):
+            yield
+            for part in filter(isValid, parts[first : first + AT_ONCE]):
+                part.ensurePolished()
+        del self._begun[ws.name]

@@ -13,7 +13,7 @@ from typing import Literal
 
 from PySide6.QtCore import QDir
 from PySide6.QtGui import QColor, QFont, QFontDatabase, QPalette
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QWidget
 
 from widgets.style_sheet import style_sheet
 
@@ -114,14 +114,25 @@ class Theme:
         if application.styleSheet():
             application.setStyleSheet("")
 
-    def apply(self, application: QApplication, name: ThemeName, scale: float) -> None:
-        """Switch the whole application to a theme and font scale (0.8 to 2)."""
+    def apply(
+        self,
+        application: QApplication,
+        name: ThemeName,
+        scale: float,
+        window: QWidget | None = None,
+    ) -> None:
+        """Switch the whole application to a theme and font scale (0.8 to 2).
+
+        With ``window`` only that and what is opened from it has the style sheet: a page that is
+        made later then gets it once, when it comes into the window, not at each step of its making.
+        """
         self._take(application, name, scale)
         sheet = style_sheet(self.tokens.as_dict(), BASE_POINTS * self.scale)
-        if sheet != application.styleSheet():
+        dressed = application if window is None else window
+        if sheet != dressed.styleSheet():
             # Qt takes five times as long to put one sheet in the place of another.
-            application.setStyleSheet("")
-            application.setStyleSheet(sheet)
+            dressed.setStyleSheet("")
+            dressed.setStyleSheet(sheet)
         for widget in application.allWidgets():
             widget.update()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 
 from app.collect.by_half import by_half
@@ -52,12 +52,14 @@ class CollectWorkspace(Workspace):
         )  # fmt: skip
         self.held_keys = self.label.held_keys
 
-    def build(self) -> None:
+    def build(self) -> Iterator[None]:
         """Make both halves, and the thread that reads for them."""
         self.page = Halves()
         self.collect_page = CollectPage(self._desk.theme, self._intents())
         self.page.add(COLLECT, TITLES[COLLECT], self.collect_page)
+        yield
         self.label.build_in(self.page)
+        yield
         self.reader = Commits(self.label.post, "collect-reader")
         catalogue = load_catalogue()
         self.presenter = CollectPresenter(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from app.link import Link
 from app.live import LivePresenter, LiveViews
@@ -38,7 +38,7 @@ class OperateWorkspace(Workspace):
         self._story, self._shown = RunStory(), -1
         self.commands = self._commands()
 
-    def build(self) -> None:
+    def build(self) -> Iterator[None]:
         """Make the page."""
         intents = OperateIntents(
             jog=JogIntents(self._renew, self._ended, self._step, self._arm_keys, self._level),
@@ -46,6 +46,7 @@ class OperateWorkspace(Workspace):
             zero=self._zero, baseline=self._baseline, span=self._span, pause=self._pause,
             set_scene=self._set_scene,
         )  # fmt: skip
+        yield
         self.page = OperatePage(self._desk.theme, intents, PACES, PHASES)
         self.columns = self.page.columns
         self.keys = JogKeys(self.page, self.page.jog)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from app.label.commits import Commits
@@ -47,9 +47,10 @@ class ReviewWorkspace(Workspace):
             Command("viewer", "Open the file outside", "Ctrl+O", self._open_outside),
         )  # fmt: skip
 
-    def build(self) -> None:
+    def build(self) -> Iterator[None]:
         """Make the page, and the thread that reads for it."""
         self.page = ReviewPage(self._desk.theme, self._intents())
+        yield
         self.post = Post(self.page)
         self.reader = Commits(self.post, "review-reader")
         self.library = Library(dataset_folder())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
 
@@ -61,11 +61,12 @@ class StackWorkspace(Workspace):
                     lambda: self.page.fit()),
         )  # fmt: skip
 
-    def build(self) -> None:
+    def build(self) -> Iterator[None]:
         """Make the page."""
         trial = TrialIntents(self._answer, self._judge, self._photo)
         intents = StackIntents(self._start, self._pause, self._cancel, self._approve,
                                self._decline, self._choose, self._compare, trial)  # fmt: skip
+        yield
         self.page = StackPage(self._desk.theme, intents)
         self.columns = self.page.columns
 

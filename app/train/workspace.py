@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -58,7 +58,7 @@ class TrainWorkspace(Workspace):
             Command("reread", "Read data and trainings anew", "Ctrl+R", self._reread),
         )
 
-    def build(self) -> None:
+    def build(self) -> Iterator[None]:
         """Make the page."""
         form = TrainingIntents(
             start=self._order(TrainPresenter.start),
@@ -68,6 +68,7 @@ class TrainWorkspace(Workspace):
             folder=self._ask_folder,
             defaults=self._defaults,
         )
+        yield
         self.page = TrainPage(
             self._desk.theme,
             TrainIntents(

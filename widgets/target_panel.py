@@ -12,7 +12,6 @@ from PySide6.QtWidgets import (
     QDoubleSpinBox,
     QGridLayout,
     QHBoxLayout,
-    QLineEdit,
     QProgressBar,
     QPushButton,
     QSizePolicy,
@@ -21,6 +20,7 @@ from PySide6.QtWidgets import (
 )
 
 from widgets.icons import icon
+from widgets.name_field import NameField
 from widgets.panel import Panel, label, rule
 from widgets.theme import Theme
 
@@ -95,7 +95,7 @@ class TargetPanel(Panel):
         self._theme = theme
         self.piece, self.bottom, self.pattern = QComboBox(), QComboBox(), QComboBox()
         self.within, self.count, self.per_grip = QDoubleSpinBox(), QSpinBox(), QSpinBox()
-        self.seed, self.person = QSpinBox(), QLineEdit()
+        self.seed, self.person = QSpinBox(), NameField()
         self.origin = (QDoubleSpinBox(), QDoubleSpinBox())
         self.check_origin = QCheckBox("Feel the edges after every mounting")
         self.ask = QCheckBox("Wait for an answer after each probe")

@@ -67,6 +67,8 @@ class CollectPage(QWidget):
         self.health = HealthPanel()
         self.recorder = ElidedLabel("small")
         self.recorder.setAccessibleName("Recorder")
+        # Whoever has said their name decides by letters next: they belong to the page again.
+        self.target.person.returnPressed.connect(self.setFocus, Qt.ConnectionType.QueuedConnection)
         self.signal.currentIndexChanged.connect(intents.signal)
         self.deleted.toggled.connect(intents.deleted)
         self._arrange()

@@ -122,6 +122,10 @@ class CollectPresenter:
         link = self.link
         if link is None or link.status().state in ACTIVE:
             return
+        if not request.person:
+            # The line below the button says so; here the name can be typed at once.
+            self._page.target.ask_person()
+            return
         try:
             check_person(request.person)
             link.dataset = self.dataset

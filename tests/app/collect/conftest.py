@@ -110,8 +110,8 @@ def page(unnamed, qtbot):
     made.press(KEY.Key_U, Qt.KeyboardModifier.ControlModifier)
     assert made.view.target.person.hasFocus()
     QTest.keyClicks(made.view.target.person, "Ann")
-    QTest.keyClick(made.view.target.person, KEY.Key_Return)
-    made.view.setFocus()
+    made.press(KEY.Key_Return)
+    qtbot.waitUntil(made.view.hasFocus, timeout=60_000)
     workspace = made.workspace.label
     qtbot.waitUntil(lambda: workspace.presenter is not None, timeout=60_000)
     made.settle()

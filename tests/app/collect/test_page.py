@@ -50,6 +50,8 @@ def test_the_dataset_is_shown_before_anybody_is_named(unnamed, qtbot):
     assert not page.presenter.dataset.writable
     page.press(KEY.Key_F5)
     assert page.bench.started == []
+    assert page.view.target.person.hasFocus()
+    assert not page.main.cards.codes
 
 
 def test_a_pair_without_episodes_shows_its_bottom(unnamed):

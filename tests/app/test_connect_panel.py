@@ -160,7 +160,7 @@ def test_after_stop_nothing_is_connected_before_reset(lab, bench):
 
 def test_on_devices_each_move_is_asked_for(lab):
     form = lab.workspaces["stack"].page.run.form()
-    assert (form.mode, form.trials, form.strategy) == ("approve", 1, "paper")
+    assert (form.mode, form.trials, form.strategy) == ("approve", 3, "paper")
 
 
 def test_every_limit_is_shown_with_its_unit():

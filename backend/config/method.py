@@ -109,15 +109,15 @@ class PolicySettings(Settings):
 class OutlineSettings(Settings):
     """Support as one displaced outline, and what has to be known before a release."""
 
-    weight: Annotated[float, Field(gt=0, le=1)] = 0.05
+    weight: Annotated[float, Field(gt=0, le=1)] = 0.03
     """Share of a map's log odds that counts: neighbouring cells err together [U]."""
-    pressure_sd_mm: Positive = 1.0
+    pressure_sd_mm: Positive = 1.5
     """Error of the measured centre of pressure, that of the grasp included [U]."""
     sensor_height_mm: Positive = 120.0
     """Force sensor above the grasp pivot; turns lateral force into moment."""
     risk: Probability = 0.05
     """Release only where the piece would fall with less than this probability [U]."""
-    inset_mm: NonNegative = 0.5
+    inset_mm: NonNegative = 1.0
     """The centre of mass must lie this far within an outline to count as carried by it [U]."""
 
 

@@ -43,7 +43,7 @@ BOTTOMS = ("short", "long", "hex20", "rect12x28")
 CEILINGS = ("ceiling", "ceiling-diameter")
 """Knowing the bench and the outline; knowing the bench and that the bottom is round."""
 STRATEGIES: tuple[str, ...] = (*get_args(StrategyName), *CEILINGS)
-CHUNK = 5
+CHUNK = 2
 STEP_MM, SURE_MM = 3.0, 0.2
 """For the least number of probes: longest step, and how far inside the stable region to be."""
 Json = dict[str, Any]

@@ -17,13 +17,16 @@ DEVICE_FAULTS = frozenset({
 estimate came to (too much force, no contact, no piece, a stop) is a failure and not among them.
 """
 
+AFTER = ("release", "rise")
+"""Phases in which the piece is let go: what fails here no longer excuses the trial."""
+
 
 def excused_by(finished: TrialFinished, last_phase: str) -> str:
     """Return the code of the device fault that keeps a trial out of the rate, "" if it counts.
 
     ``last_phase``: that in which the trial ended; once ``release`` has begun nothing excuses.
     """
-    if finished.outcome is not Outcome.ABORTED or last_phase == "release":
+    if finished.outcome is not Outcome.ABORTED or last_phase in AFTER:
         return ""
     # A trial that a fault ended gives the fault's own words, which end with its code.
     code = finished.reason.rpartition("[")[2].rstrip("]")

@@ -22,7 +22,7 @@ def collecting() -> list[Figure]:
         session = simulated_session(keep=Keep(None))
         session.dataset = dataset
         start_s = time.perf_counter()
-        session.run(CollectRequest(count=PROBES, person="bench"))
+        session.run(CollectRequest(count=PROBES, person="bench", grips_per_mounting=10))
         took_s = time.perf_counter() - start_s
         bench_s = session.clock_s()
         session.close()

@@ -81,7 +81,11 @@ def _collect(dataset: Any) -> dict[Taken, bool]:
     ):
         session = simulated_session(keep=Keep(None))
         session.dataset = dataset
-        session.run(CollectRequest(count=PROBES, person="bench", probes_per_grip=PER_GRIP))
+        session.run(
+            CollectRequest(
+                count=PROBES, person="bench", probes_per_grip=PER_GRIP, grips_per_mounting=10
+            )
+        )
         session.close()
     return slipped
 

@@ -7,6 +7,7 @@ import gc
 import json
 import sys
 from functools import partial
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -83,14 +84,19 @@ def live_bench(settings: Path | None = None) -> Link:
     from backend.runs.requests import SceneChoice
     from backend.session import Keep
 
+    animate = find_spec("mujoco") is not None
     session = simulated_session(
         SimulatedBenchChoice(file=settings),
         keep=Keep(data_folder() / "runs"),
-        animate=_can_animate(),
+        animate=animate,
         registry=Registry(models_folder()),
     )
     session.calibrations = CalibrationStore(calibrations_folder(), "simulated")
     session.prepare(SceneChoice())
+    if animate:
+        # While its library is loaded nothing else runs, for 70 to 130 ms: at the first release the
+        # window stood still that long.
+        import_module("mujoco")
     settle_memory()
     return session
 
@@ -120,10 +126,6 @@ def settle_memory() -> None:
     """
     gc.collect()
     gc.freeze()
-
-
-def _can_animate() -> bool:
-    return find_spec("mujoco") is not None
 
 
 class _Grab(QObject):

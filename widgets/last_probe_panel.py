@@ -90,7 +90,8 @@ class HealthPanel(Panel):
 
     def show_findings(self, texts: Sequence[str], *, judged: int) -> None:
         """Show findings about ``judged`` probes; the tool tip has all of them."""
-        self.detail.setText(f"{len(texts)} in {judged} probes" if texts else f"{judged} probes")
+        probes = "1 probe" if judged == 1 else f"{judged} probes"
+        self.detail.setText(f"{len(texts)} in {probes}" if texts else probes)
         if not judged:
             self.words.setText("Nothing to judge yet.")
         elif not texts:

@@ -14,11 +14,17 @@ from contextlib import contextmanager
 import numpy as np
 import psutil
 
+from backend.assembly import simulated_session
+from backend.core.facts import Fact, TrialFinished
+from backend.runs.requests import StackRequest
+from backend.session import Keep, Session
 from tests.backend.devices.waiting import until
+from tests.backend.rig.inline import InlineBench
 from tests.backend.rig.served import Backend, Served
 from tests.bench.registry import Figure, figure
 
 STOPS, KILLS = 100, 10
+SEEDS = range(7, 13)
 
 
 @contextmanager
@@ -107,3 +113,41 @@ def killed_backend() -> list[Figure]:
         Figure("backend killed: STOP by the rig, worst", worst, "ms", "<= 100", worst <= 100, told),
         Figure("processes left after that", left, "", "0", left == 0),
     ]
+
+
+def outcome(session: Session, seed: int) -> str:
+    """Return how a trial on ``seed`` ends."""
+    ends: list[str] = []
+
+    def hear(fact: Fact) -> None:
+        if isinstance(fact, TrialFinished):
+            ends.append(fact.outcome.value)
+
+    leave = session.hub.subscribe(hear)
+    session.run(StackRequest("pot", ("short",), seed))
+    leave()
+    return ends[0]
+
+
+@figure("arm")
+def trials_through_the_rig() -> list[Figure]:
+    """Whole trials through the rig on a hand-wound clock, beside the simulated bench."""
+    bench, simulated = InlineBench(), simulated_session(keep=Keep(None))
+    try:
+        pairs = [(outcome(bench.session, s), outcome(simulated, s)) for s in SEEDS]
+    finally:
+        bench.close()
+        simulated.close()
+    alike = sum(one == other for one, other in pairs)
+    refused = [text for link in bench.links for text in link.refused]
+    told = ", ".join(one for one, _ in pairs)
+    return [
+        Figure(
+            "trials that end as on the simulated bench", f"{alike} of {len(SEEDS)}", "",
+            ">= 90 %", alike >= 0.9 * len(SEEDS), told,
+        ),
+        Figure(
+            "orders of the plans that the rig refused", len(refused), "", "0", not refused,
+            "; ".join(refused[:2]),
+        ),
+    ]  # fmt: skip

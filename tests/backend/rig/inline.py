@@ -1,0 +1,150 @@
+"""A session whose arm, gripper and wrist sensor live in a rig in this process, on a hand-wound
+clock: the driver of an emulated arm, with the simulated world behind it."""
+
+import io
+import itertools
+import threading
+from contextlib import ExitStack
+
+from backend.assembly import Models, SimulatedBenchChoice, SimulatedScoring, make_scene
+from backend.config.bench_facts import simulated_facts
+from backend.config.method import StackSettings
+from backend.core.stream import SampleStream
+from backend.devices.sim.bench import BenchStreams, SimulatedBench
+from backend.objects.catalogue import load_catalogue
+from backend.rig.host import Devices, RigHost
+from backend.rig.link import LATE_S, RigMotion
+from backend.rig.memory import BACKEND_BEAT, STOPS, drop, make
+from backend.rig.messages import pack, read_error, read_fault, receive
+from backend.rig.remote import RigArm, RigForceTorque, RigGripper
+from backend.runs.stage import Stage
+from backend.sensing.tare import gripper_payload
+from backend.session import Keep, Session
+from tests.backend.devices.emulated_arm import on_bench
+
+ROUND_US = 4000
+
+
+def through_json(message):
+    """What the other side reads of ``message``."""
+    return receive(io.BytesIO(pack(message)))
+
+
+class InlineLink:
+    """Stands in for the pipe: every order is carried out where it is given."""
+
+    lost, running = None, True
+
+    def __init__(self, interlock, devices, now_s):
+        self._interlock, self._numbers = interlock, itertools.count(1)
+        self._answers, self._motions, self._cursor = {}, {}, 0
+        self.refused, self.hello = [], {"joint_ranges": [[-3.0, 3.0]] * 6}
+        self.memory, path = make()
+        drop(path)
+        self.host = RigHost(devices, interlock.limits, now_s, self.memory, self._hear)
+
+    def round(self, poses):
+        self.memory.beat(BACKEND_BEAT)
+        self.memory.permit(self._interlock.lease_until_s)
+        self.host.round()
+        t_s, values, self._cursor = self.memory.poses.since(self._cursor)
+        poses.put(t_s, values)
+
+    def order(self, name, **arguments):
+        number = next(self._numbers)
+        order = {"kind": "order", "id": number, "order": name, "args": arguments}
+        lease = {"lease_until_s": self._interlock.lease_until_s}
+        self.host._carry_out(through_json({**order, **lease}))
+        answer = self._answers.pop(number)
+        if "error" in answer:
+            error = read_error(answer["error"])
+            self.refused.append(str(error))
+            raise error
+        return answer
+
+    def move(self, name, **arguments):
+        answer = self.order(name, **arguments)
+        return self._motions.setdefault(answer["motion"], RigMotion(answer["sent"]))
+
+    def stop(self):
+        self.memory.beat(STOPS)
+
+    def stop_gripper(self):
+        self.host.take({"kind": "stop gripper"})
+
+    def row(self, device):
+        return (self.memory.seen() or {}).get(device, {})
+
+    def _hear(self, message):
+        message = through_json(message)
+        if message["kind"] == "reply":
+            self._answers[message["id"]] = message
+        elif message["kind"] == "fault":
+            self._interlock.raise_fault(read_fault(message["fault"]))
+        elif (motion := self._motions.get(message["motion"])) is not None:
+            motion.detected_s, motion.onset_s = message["detected_s"], message["onset_s"]
+            if message["kind"] == "ended":
+                del self._motions[message["motion"]]
+                motion.end(read_fault(message["fault"]))
+        return True
+
+
+class InlineBench:
+    """Holds the session; ``links`` are those of its scenes."""
+
+    def __init__(self):
+        self._settings, self._method = SimulatedBenchChoice().settings(), StackSettings()
+        self._catalogue, facts = load_catalogue(None), simulated_facts(self._settings)
+        self._models = Models(None, facts, self._method.belief.pitch_mm)
+        self.links, self._ends = [], ExitStack()
+        self.session = Session(
+            self._make_stage, lambda choice: {}, self._catalogue,
+            settings=self._method, keep=Keep(None), facts=facts,
+        )  # fmt: skip
+
+    def close(self):
+        self.session.close()
+        self._ends.close()
+
+    def _make_stage(self, choice, raw):
+        scene = make_scene(self._catalogue, choice, self._settings)
+        unused = SampleStream("unused", 3, 1000)
+        bench = SimulatedBench(
+            scene, (), BenchStreams(raw.frames, raw.samples, unused, raw.commands)
+        )
+        now_s = bench.clock.now_s
+        for device in (bench.force_torque, bench.gripper):
+            device.connect(1.0, threading.Event())
+        driver, wires = on_bench(bench)
+        driver.connect(1.0, threading.Event())
+        devices = Devices(driver, bench.gripper, bench.force_torque, raw.samples, driver.poses)
+        link = InlineLink(self.session.interlock, devices, now_s)
+        link.samples, link.poses = raw.samples, raw.poses
+        self.links.append(link)
+        self._ends.callback(link.host.leave)
+
+        def advance(step_us):
+            for _ in range(step_us // ROUND_US):
+                wires.advance(ROUND_US)
+                link.round(raw.poses)
+
+        advance(5 * ROUND_US)
+        open_ones = {"arm", "gripper", "force_torque"}
+        arm = RigArm("arm", link, now_s, open_ones)
+        gripper = RigGripper("gripper", link, now_s, open_ones)
+        wrist = RigForceTorque("force_torque", link, now_s, open_ones)
+        loose = self._settings.wrist
+        return Stage(
+            clock=bench.clock,
+            devices={**bench.devices, "arm": arm, "gripper": gripper, "force_torque": wrist},
+            arm=arm,
+            gripper=gripper,
+            piece=scene.piece,
+            bottom="+".join(choice.bottoms),
+            advance=advance,
+            scoring=SimulatedScoring(bench, self._method.policy.longest_step_mm, False),
+            estimator=self._models.of(choice, scene.piece),
+            payload=gripper_payload(loose.payload_kg, loose.payload_com_mm),
+            outline=scene.surface,
+            wrench_late_s=LATE_S,
+        )

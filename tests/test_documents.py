@@ -61,3 +61,16 @@ def test_make_targets_in_the_readme_exist():
 def test_every_verb_stands_in_the_readme():
     readme = (ROOT / "README.md").read_text()
     assert [verb for verb in VERBS if not re.search(rf"`[^`\n]*\b{verb}\b", readme)] == []
+
+
+def test_every_fault_of_the_list_names_tests_that_exist():
+    text = (ROOT / "docs" / "faults.md").read_text("utf-8")
+    rows = re.findall(r"^\| ([A-Z][0-9][^|]*) \| (.+) \|$", text, re.MULTILINE)
+    assert len(rows) >= 45
+    written = {
+        name
+        for path in (ROOT / "tests").rglob("test_*.py")
+        for name in re.findall(r"def test_(\w+)", path.read_text("utf-8"))
+    }
+    named = {name for _, tests in rows for name in re.findall(r"`(\w+)`", tests)}
+    assert named - written == set()

@@ -26,6 +26,7 @@ from backend.emulators.loads import noisy, suffering
 from backend.emulators.melfa_monitor import TYPE_FORCE, EmulatedMonitor
 from backend.emulators.netft import PER_UNIT, EmulatedNetFt
 from backend.emulators.optoforce import CAPACITY, COUNTS, EmulatedOptoforce
+from backend.emulators.wsg import EmulatedWsg
 from backend.wire.melfa_joints import CYCLE_S
 from tests.backend.devices.waiting import until
 
@@ -177,3 +178,14 @@ def test_connecting_can_be_cancelled_and_closing_twice_is_allowed(wired):
     wired.driver.close()
     wired.driver.close()
     assert wired.driver.state is DeviceState.CLOSED
+
+
+def test_a_gripper_in_place_of_a_wrist_sensor_is_refused():
+    front = TcpFront(EmulatedWsg())
+    settings = {"ft": {"driver": "leptrino", "address": front.url}}
+    driver = make_force_torque(HardwareSettings.model_validate(settings), time.monotonic)
+    front.start()
+    with pytest.raises(FaultError, match="nothing that is an answer"):
+        driver.connect(2.0, threading.Event())
+    assert driver.state is DeviceState.CLOSED
+    front.close()

@@ -123,9 +123,7 @@ class CameraTrial:
         wanted = CODES.get(fault)
         rows = {
             f"told {self.told}": self.told == [wanted] if wanted else not self.told,
-            "three equal pictures were handed on": not any(
-                a and b for a, b in pairwise(runs)
-            ),
+            "three equal pictures were handed on": not any(a and b for a, b in pairwise(runs)),
             "time or number goes back": bool(np.all(np.diff(times) > 0))
             and bool(np.all(np.diff([frame.sequence for frame in frames]) > 0)),
             "a dark picture was handed on": all(

@@ -1,0 +1,49 @@
+"""Frozen pictures are found at once, and noise alone keeps a picture of a still gel alive."""
+
+import numpy as np
+import pytest
+
+from backend.config.hardware import GelsightSettings
+from backend.devices.cameras.gate import EQUAL_FAULT, EQUAL_INVALID, Gate
+
+SETTINGS = GelsightSettings(crop_fraction=0.0)
+STILL = np.full((240, 320, 3), 90, dtype=np.uint8)
+NOISE_GREY = 0.5
+
+
+def gate():
+    return Gate("left", "tactile_left", SETTINGS, 0.0)
+
+
+def test_the_third_equal_picture_is_none_and_the_tenth_a_fault():
+    judge = gate()
+    told = []
+    for k in range(12):
+        image = judge.judge(0.04 * k, STILL)
+        told.append((image is not None, judge.fault and judge.fault.code))
+    assert [good for good, _ in told] == [k + 1 < EQUAL_INVALID for k in range(12)]
+    assert [k + 1 for k, (_, code) in enumerate(told) if code] == [EQUAL_FAULT]
+    assert told[EQUAL_FAULT - 1][1] == "CAMERA-FROZEN"
+
+
+def test_a_still_gel_with_half_a_grey_level_of_noise_is_never_taken_for_frozen():
+    rng, judge = np.random.default_rng(2), gate()
+    small = STILL[:30, :40]
+    for k in range(1000):
+        noise = rng.standard_normal(small.shape, dtype=np.float32)
+        picture = (small + NOISE_GREY * noise).round().astype(np.uint8)
+        assert judge.judge(0.04 * k, picture) is not None
+    assert judge.invalid == 0
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff\xd8\xff\xd9", STILL.tobytes()[:1000]])
+def test_what_is_no_picture_is_counted_and_no_fault(content):
+    judge = gate()
+    assert judge.judge(0.0, content) is None
+    assert (judge.invalid, judge.fault) == (1, None)
+
+
+def test_an_empty_buffer_that_is_called_a_picture_is_none():
+    judge = gate()
+    assert judge.judge(0.0, STILL) is not None
+    assert [judge.judge(0.04 * k, b"") for k in range(1, 4)] == [None] * 3

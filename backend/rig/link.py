@@ -140,7 +140,10 @@ class RigLink:
         self._channel.say(
             {
                 "kind": "begin",
-                "settings": self._settings.model_dump(mode="json"),
+                # A lab file says more than the rig takes: it refuses what it does not know.
+                "settings": self._settings.model_dump(
+                    mode="json", include=set(HardwareSettings.model_fields)
+                ),
                 "limits": asdict(self._limits),
                 "begun_s": time.monotonic() - self._now_s(),
                 "memory": str(path),

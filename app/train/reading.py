@@ -17,7 +17,7 @@ from backend.learning.samples import Sample, load_samples
 from backend.learning.training_runs import TrainingRun, training_runs
 from backend.objects.catalogue import load_catalogue
 from backend.objects.surface import face_points
-from widgets.training_form import TrainingForm
+from widgets.training_form import LABELS, TrainingForm
 from widgets.training_samples import SampleScene
 
 HOW_TO_GET_DATA = "Collect probes (Ctrl+2), or choose another folder (Ctrl+O)."
@@ -66,6 +66,7 @@ class Reading:
             if not data.is_dir():
                 raise InputError("There are no data here yet.", str(data), HOW_TO_GET_DATA)
             found = self._candidates(form, anew=anew)
+            trouble = "" if found else _what_would_count(form)
         except InputError as error:
             found, trouble = (), f"{error.what} {error.fix}"
             self._key = None
@@ -113,6 +114,18 @@ class Reading:
             self._found = candidates(Path(form.data), labels)
             self._key = key
         return self._found
+
+
+def _what_would_count(form: TrainingForm) -> str:
+    """Say how to come to labels that count, where the chosen ones do not."""
+    names = [name for name, _ in LABELS]
+    review = "accept labels in Label (Ctrl+2) and let somebody else approve them"
+    for name, text in LABELS[names.index(form.labels) + 1 :]:
+        labels = next(choice for choice in LABEL_CHOICES if choice == name)
+        if count := len(candidates(Path(form.data), labels)):
+            would = "1 episode would" if count == 1 else f"{count} episodes would"
+            return f"No label counts yet. {would} with Labels: {text}. Or {review}."
+    return f"No label counts yet: {review}."
 
 
 def scenes_of(run: TrainingRun) -> list[SampleScene]:

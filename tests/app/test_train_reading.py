@@ -1,0 +1,39 @@
+"""What the Train page says of a dataset that nobody has labelled yet."""
+
+from dataclasses import replace
+
+from app.train.reading import Reading
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.values import Label
+from backend.learning.registry import Registry
+from tests.backend.catalogue.conftest import context_for, small_episode
+from widgets.training_form import TrainingForm
+
+
+def test_labels_that_would_count_are_named_with_the_way_to_them(tmp_path):
+    reading = Reading(Registry(tmp_path / "models"))
+    form = replace(TrainingForm(), data=str(tmp_path / "data"), labels="approved")
+
+    def told(labels="approved"):
+        return reading.look(replace(form, labels=labels), anew=True).trouble
+
+    with Dataset.open(tmp_path / "data", person="ann") as dataset:
+        assert told() == (
+            "No label counts yet: accept labels in Label (Ctrl+2) and let somebody else approve "
+            "them."
+        )
+        context = context_for(dataset)
+        uuids = [
+            dataset.record(
+                small_episode(), Label(k, 0, 0, 9), source="measured", context=context
+            ).uuid
+            for k in range(3)
+        ]
+        assert told().startswith(
+            "No label counts yet. 3 episodes would with Labels: Also the bench's own notes. Or"
+        )
+        assert told("drafts") == ""
+        dataset.labels.accept("ann", uuids[0])
+        assert "1 episode would with Labels: Also submitted ones." in told()
+        dataset.labels.approve("bob", uuids[0])
+        assert told() == ""

@@ -116,11 +116,11 @@ def test_where_bayes_can_be_worked_out_the_steps_agree(factors: tuple[float, ...
 
 
 def test_strays_and_failed_presses_do_not_go_on() -> None:
-    felt = np.concatenate([np.zeros((8, 3)), np.full((2, 3), 100.0), np.zeros((2, 3))])
-    usable = np.arange(12) < 10
+    felt = np.concatenate([np.zeros((36, 3)), np.full((2, 3), 100.0), np.zeros((2, 3))])
+    usable = np.arange(40) < 38
     kept = likely(felt, usable, np.zeros(3), np.eye(3), np.random.default_rng(2))
-    assert len(kept) == 12
-    assert set(kept) == set(range(8))
+    assert len(kept) == 40
+    assert set(kept) == set(range(36))
 
 
 def test_a_probe_tells_where_the_piece_is(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,6 +33,8 @@ class Failing:
         self._fails: tuple[int, str, str] | None = None
 
     def run(self, **asked) -> None:
+        # One mounting, so that the device that is made to fail is the one in use.
+        asked = {"grips_per_mounting": 10, **asked}
         self.session.run(CollectRequest(seed=2, person="ann", **asked))
 
     def fail_in_press(self, number: int, device: str, kind: str) -> None:

@@ -216,12 +216,14 @@ class Jog:
         return arm.move_to(target, min(speed, most))
 
     def _watch_step(self, motion: Motion, going: _Going) -> None:
+        """Keep the permission to move as long as a step lasts, and the limits let it go on."""
         if motion.done:
             self._step = None
             self._tell_failure(motion)
             return
         try:
             self._permit.refuse(going.axis, going.frame, going.signed)
+            self._interlock.renew_lease(self._around.now_s())
         except RefusedError as error:
             self._halt()
             self._step = None

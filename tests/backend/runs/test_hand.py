@@ -231,6 +231,17 @@ def test_a_step_goes_exactly_so_far(session, distance):
     assert not session.hand.active
 
 
+def test_a_step_keeps_the_permission_to_move_as_long_as_it_lasts(session):
+    session.hand.jog.step("x", "XYZ", 5.0, 5.0)
+    begun_s = session.clock_s()
+    while session.hand.active:
+        assert session.interlock.has_lease(session.clock_s())
+        session.advance()
+    assert session.clock_s() - begun_s > 0.9
+    turn(session, 0.3)
+    assert not session.interlock.has_lease(session.clock_s())
+
+
 def test_a_step_under_way_refuses_the_next(session):
     session.hand.jog.step("x", "XYZ", 5.0, 20.0)
     session.advance()

@@ -3,7 +3,7 @@
 Pure: no clock, no thread, no wire, so that every row of its table is tested in virtual time.
 
     backend's heartbeat older than 250 ms    HOLD; a motion under way is a fault until reset
-    motion lease lapsed 250 ms ago           HOLD; a new order is needed (jogs end before)
+    motion lease not renewed for 2 s         HOLD; a new order is needed (jogs end before)
     STOP asked                               STOP, latched until reset
     backend gone (pipe closed, no parent)    STOP, then the process ends
     error of this program                    STOP and a fault
@@ -17,12 +17,12 @@ import math
 from dataclasses import dataclass
 
 from backend.core.faults import Fault, RefusedError
-from backend.devices.interlock import Limits
+from backend.devices.interlock import LEASE_S, Limits
 
 BACKEND_SILENT_S = 0.25
 """The backend beats at least every 50 ms."""
-LAPSED_S = 0.25
-"""A run whose thread was late by this much beyond its lease has lost its motion."""
+LAPSED_S = 2.0 - LEASE_S
+"""A run whose thread is late by this much beyond its lease has lost its motion: disks take time."""
 WRENCH_SILENT_S = 0.3
 """A wrist sensor that is silent for longer forbids new motion."""
 

@@ -1,6 +1,5 @@
 """A rig in this process: the driver of an emulated arm, a scripted gripper, a hand-wound clock."""
 
-import math
 import threading
 
 import numpy as np
@@ -50,7 +49,7 @@ class Hosted:
         drop(path)
         devices = Devices(self.arm, self.gripper, self.wrist, self.arms.wrench, self.arm.poses)
         self.host = RigHost(devices, Limits(**limits), self.clock.now_s, self.memory, self._hear)
-        self.beats, self.leased = True, True
+        self.beats, self._until_s = True, None
         self._heard, self._number = threading.Condition(), 0
         self.gripper.state = self.wrist.state = DeviceState.READY
 
@@ -91,9 +90,15 @@ class Hosted:
         return False
 
     def lease_s(self):
-        if self.leased:
-            self._until_s = self.clock.now_s() + 0.25
-        return getattr(self, "_until_s", -math.inf)
+        return self.clock.now_s() + 0.25 if self._until_s is None else self._until_s
+
+    def neglect(self, since_s):
+        """Nobody has renewed the lease for so long, and nobody does."""
+        self._until_s = self.clock.now_s() - since_s + 0.25
+
+    def renew(self):
+        """Somebody renews it again."""
+        self._until_s = None
 
     def order(self, name, **arguments):
         """Give an order, wait for its answer, return the number of its motion or its value."""

@@ -68,8 +68,8 @@ def test_a_stall_of_the_rig_itself_is_not_taken_for_silence_of_the_backend():
 
 def test_a_lapsed_lease_holds_and_is_no_fault():
     rig = core()
-    at_s, out = run(rig, 1.0, lease_s=0.25)
-    assert 0.5 < at_s <= 0.5 + ROUND_S + 1e-9
+    at_s, out = run(rig, 3.0, lease_s=0.25)
+    assert 2.0 < at_s <= 2.0 + ROUND_S + 1e-9
     assert (out.hold, out.fault, out.why.code) == (True, None, "LEASE-LAPSED")
     assert reason(lambda: rig.refuse(at_s, 0.25)) == "NO-LEASE"
     rig.refuse(at_s, at_s + 0.25)

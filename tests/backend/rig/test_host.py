@@ -72,14 +72,14 @@ def test_a_backend_that_falls_silent_leaves_an_arm_that_stands(rig):
 def test_a_lease_that_is_not_renewed_ends_the_motion_and_nothing_else(rig):
     motion = rig.lift()
     rig.rounds(0.05)
-    rig.leased = False
-    rig.rounds(0.52)
+    rig.neglect(1.9)
+    rig.rounds(0.12)
     assert rig.fault_of(motion).code == "LEASE-LAPSED"
     assert rig.told("fault") == []
     rig.rounds(0.1)
     assert moved_mm(rig, 0.1) == 0.0
     assert reason(rig.lift) == "NO-LEASE"
-    rig.leased = True
+    rig.renew()
     rig.lift()
 
 

@@ -109,7 +109,7 @@ class LabelPresenter:
         order, entries, gold = queue
         self._cover_rows()
         self.shown.begin(self.sitting.person, gold)
-        self.walk.begin(order, {u: self.shown.entry(e) for u, e in entries.items()}, stay)
+        self.walk.begin(order, entries | {u: self.shown.entry(entries[u]) for u in gold}, stay)
         self._show_present()
 
     def go_to(self, at: int) -> None:

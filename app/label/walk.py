@@ -9,13 +9,13 @@ from app.label.prefetch import Prefetch, around
 from app.label.sitting import Sitting
 from app.label.words import FINDING, blind_row, row_of
 from backend.catalogue.dataset import Dataset
-from backend.catalogue.gold import disguised, mixed
+from backend.catalogue.gold import Shown, disguised, mixed
 from backend.catalogue.values import EpisodeEntry
 from backend.core.faults import InputError
 from widgets.label_list import LabelList, LabelRow
 
-Queue = tuple[list[str], dict[str, EpisodeEntry], dict[str, int]]
-"""Ids in their order, all entries, and the gold among the ids with the times to show for it."""
+Queue = tuple[list[str], dict[str, EpisodeEntry], dict[str, Shown]]
+"""Ids in their order, all entries, and the gold among the ids."""
 
 
 def read_queue(dataset: Dataset, sitting: Sitting) -> Queue:
@@ -31,7 +31,12 @@ def read_queue(dataset: Dataset, sitting: Sitting) -> Queue:
         return order, entries, {}
     gold = dataset.queue("gold", s.person, seed=s.seed)
     order = mixed(order, gold)
-    return order, entries, disguised(order, entries, gold)
+    times_ns = disguised(order, entries, gold)
+    return (
+        order,
+        entries,
+        {uuid: (at_ns, dataset.labels.history(uuid)[0]) for uuid, at_ns in times_ns.items()},
+    )
 
 
 class Walk:

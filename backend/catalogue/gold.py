@@ -30,6 +30,8 @@ from backend.catalogue.values import (
 from backend.core.faults import InputError, RefusedError
 
 GOLD_EVERY = 20
+Shown = tuple[int, Revision]
+"""Of a gold episode the time to show (``disguised``) and the revision that it was recorded with."""
 
 
 def mixed(order: Sequence[str], gold: Sequence[str]) -> list[str]:
@@ -37,8 +39,8 @@ def mixed(order: Sequence[str], gold: Sequence[str]) -> list[str]:
 
     The places follow from the ids: the same queue is mixed in the same way again.
     """
-    found, block = list[str](), GOLD_EVERY - 1
-    waiting = [uuid for uuid in gold if uuid not in set(order)]
+    found, block, there = list[str](), GOLD_EVERY - 1, set(order)
+    waiting = [uuid for uuid in gold if uuid not in there]
     for start in range(0, len(order), block):
         part = list(order[start : start + block])
         if waiting and len(part) == block:
@@ -55,11 +57,11 @@ def disguised(
 
     Gold is older than what is still to be labelled: its own time would tell it from the rest.
     """
-    told = {}
+    told, chosen = {}, set(gold)
     for at, uuid in enumerate(order):
-        if uuid in gold:
+        if uuid in chosen:
             near = [order[k] for k in (at - 1, at + 1) if 0 <= k < len(order)]
-            times = [entries[other].recorded_ns for other in near if other not in gold]
+            times = [entries[other].recorded_ns for other in near if other not in chosen]
             told[uuid] = sum(times) // len(times) if times else entries[uuid].recorded_ns
     return told
 
@@ -95,16 +97,16 @@ class GoldBook:
         self._done: list[_Step] = []
         self._undone: list[_Step] = []
 
-    def begin(self, person: str, times_ns: Mapping[str, int]) -> None:
-        """Take the gold of a queue of ``person``, each with the time to show (``disguised``)."""
+    def begin(self, person: str, gold: Mapping[str, Shown]) -> None:
+        """Take the gold of a queue of ``person``."""
         if person != self._person:
             self._versions.clear()
             self._done.clear()
             self._undone.clear()
-        self._person, self._times = person, dict(times_ns)
-        for uuid in times_ns:
+        self._person = person
+        self._times = {uuid: at_ns for uuid, (at_ns, _) in gold.items()}
+        for uuid, (_, recorded) in gold.items():
             if uuid not in self._versions:
-                recorded = self._book.history(uuid)[0]
                 self._versions[uuid] = [recorded]
                 self._authors[recorded.rev_uuid] = ()
 

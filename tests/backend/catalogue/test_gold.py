@@ -97,7 +97,7 @@ def test_gold_answers_every_key_as_the_rest_does(tmp_path: Path, seed: int) -> N
         dataset.labels.approve("cleo", uuid)
         before = dataset.labels.history(uuid)
         book = GoldBook(dataset.labels)
-        book.begin("ann", {uuid: 7})
+        book.begin("ann", {uuid: (7, before[0])})
         assert told(book, dataset, uuid, numbers) == ordinary
         assert dataset.labels.history(uuid) == before
         verbs = {op.verb for op in dataset.labels.log(actor="ann")}
@@ -110,7 +110,7 @@ def test_what_is_decided_is_an_opinion_that_undo_withdraws(
     near, far, none = (gold_of(record, dataset, x) for x in (1000, 2000, 3000))
     plain = record(4000, 0).uuid
     book = GoldBook(dataset.labels)
-    book.begin("ann", dict.fromkeys((near, far, none), 7))
+    book.begin("ann", {u: (7, dataset.labels.history(u)[0]) for u in (near, far, none)})
     book.accept("ann", near, Label(1600, 0, 0, 50), looked=Looked(3000))
     book.accept("ann", plain, Label(4000, 0, 0, 50))
     book.accept("ann", far, Label(2800, 0, 0, 50), looked=Looked(5000))

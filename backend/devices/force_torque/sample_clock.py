@@ -27,6 +27,11 @@ LATE_FOR_S = 0.5
 EARLY_S = 0.1
 """What comes so much before its time follows a count that has leapt: the line begins anew."""
 
+LEAST_LATE = 20
+"""Fewer late samples than these say nothing."""
+OTHER_RATE = 1.5
+"""Samples that come this much slower are those of a sensor that was set to another rate."""
+
 
 @dataclass(slots=True)
 class _Late:
@@ -109,12 +114,20 @@ class SampleClock:
             return 0
         late.least_s = min(late.least_s, delay_s)
         span_s = self._period_s * (number - late.first_number)
-        if arrival_s - late.first_s < LATE_FOR_S or span_s < 0.5 * LATE_FOR_S:
+        waited_s = arrival_s - late.first_s
+        drained = span_s < 0.5 * LATE_FOR_S and number - late.first_number < LEAST_LATE
+        if waited_s < LATE_FOR_S or drained:
+            return 0
+        self._late = None
+        self._chunks.clear()
+        told_s = (arrival_s - late.first_s) / (number - late.first_number)
+        if told_s > OTHER_RATE * self._nominal_s:
+            self._nominal_s = self._period_s = told_s
+            self._offset_s = arrival_s - told_s * number
+            self._chunks.append((number, arrival_s))
             return 0
         self._offset_s += late.least_s
-        self._chunks.clear()
         self._chunks.append((number, self._taken_s(number)))
-        self._late = None
         return round(late.least_s / self._period_s)
 
 

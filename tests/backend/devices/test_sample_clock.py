@@ -100,6 +100,15 @@ def test_a_numbered_gap_is_one_at_once():
     assert np.abs(stream.errors(after_s=1.0)).max() < 0.003
 
 
+@pytest.mark.parametrize("period_s", [0.002, 0.01])
+def test_a_sensor_set_to_a_slower_rate_is_believed_and_not_called_lossy(period_s):
+    stream = Stream(off=period_s / PERIOD_S - 1.0)
+    for now_s in wakes(5.0, stall_share=0.01):
+        stream.read(now_s)
+    assert stream.readout.lost == 0
+    assert np.abs(stream.errors(after_s=2.0)).max() < 0.01
+
+
 def test_a_long_stall_that_lost_nothing_is_no_loss():
     stream = Stream(off=0.0)
     for now_s in (*np.arange(100.0, 103.0, 0.004), *np.arange(104.5, 107.0, 0.004)):

@@ -7,8 +7,6 @@ import gc
 import json
 import sys
 from functools import partial
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 
 from PySide6.QtCore import QObject, QTimer
@@ -83,20 +81,18 @@ def live_bench(settings: Path | None = None) -> Link:
     from backend.learning.registry import Registry
     from backend.runs.requests import SceneChoice
     from backend.session import Keep
+    from backend.simulation.release_mujoco import available
 
-    animate = find_spec("mujoco") is not None
     session = simulated_session(
         SimulatedBenchChoice(file=settings),
         keep=Keep(data_folder() / "runs"),
-        animate=animate,
+        # Asked, it is loaded: while that goes on nothing else runs, for 70 to 130 ms, and at the
+        # first release the window stood still that long.
+        animate=available(),
         registry=Registry(models_folder()),
     )
     session.calibrations = CalibrationStore(calibrations_folder(), "simulated")
     session.prepare(SceneChoice())
-    if animate:
-        # While its library is loaded nothing else runs, for 70 to 130 ms: at the first release the
-        # window stood still that long.
-        import_module("mujoco")
     settle_memory()
     return session
 

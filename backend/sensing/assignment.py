@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
 from backend.core.flow import GRID_COLS, GRID_ROWS, FloatArray
 
@@ -37,48 +38,10 @@ def assign_rest(
     if not len(places) or not len(free):
         return completed
     gap = _gap(expected_px[places], dots_px[free])
-    rows, cols = least_total(np.minimum(gap, 2 * reach_px))
+    rows, cols = linear_sum_assignment(np.minimum(gap, 2 * reach_px))
     near = gap[rows, cols] <= reach_px
     completed[places[rows[near]]] = free[cols[near]]
     return completed
-
-
-def least_total(cost: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return rows and columns of the min(n, m) pairs of least total ``cost`` (n, m), one to one.
-
-    The shortest augmenting paths of Jonker and Volgenant (Computing 38, 1987), row by row. scipy
-    has them too, but loading its optimisers took a third of the start of every process; here
-    there are a few dots.
-    """
-    if cost.shape[0] > cost.shape[1]:
-        cols, rows = least_total(cost.T)
-        return rows, cols
-    count = cost.shape[1]
-    row_price, col_price = np.zeros(len(cost)), np.zeros(count + 1)
-    # The last column is no dot: a row waits there while its path is sought.
-    row_of = np.full(count + 1, -1, dtype=np.intp)
-    for row in range(len(cost)):
-        row_of[count] = row
-        least, came_from = np.full(count, np.inf), np.full(count, count, dtype=np.intp)
-        done = np.zeros(count + 1, dtype=bool)
-        at = count
-        while row_of[at] >= 0:
-            done[at] = True
-            here = row_of[at]
-            left = cost[here] - row_price[here] - col_price[:count]
-            better = (left < least) & ~done[:count]
-            least[better], came_from[better] = left[better], at
-            at = int(np.where(done[:count], np.inf, least).argmin())
-            step = least[at]
-            row_price[row_of[done]] += step
-            col_price[done] -= step
-            least[~done[:count]] -= step
-        while at != count:
-            before = came_from[at]
-            row_of[at] = row_of[before]
-            at = int(before)
-    cols = np.flatnonzero(row_of[:count] >= 0)
-    return row_of[cols], cols
 
 
 def out_of_order(position_px: FloatArray) -> NDArray[np.bool_]:

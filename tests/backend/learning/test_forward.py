@@ -71,15 +71,14 @@ def test_a_sequence_can_be_cut_anywhere(cut: int) -> None:
     assert not forward.start.hidden.any()
 
 
-def test_an_estimator_needs_neither_torch_nor_scipy() -> None:
-    """Each takes as long to load as all the rest."""
+def test_an_estimator_needs_no_torch() -> None:
     code = (
         "import sys\n"
         "from backend.assembly import shipped_model\n"
         "from backend.objects.catalogue import load_catalogue\n"
         "from backend.placement.estimator import Estimator\n"
         "Estimator.load(shipped_model('pot'), load_catalogue().piece('pot'))\n"
-        "sys.exit(bool({'torch', 'scipy'} & set(sys.modules)))"
+        "sys.exit('torch' in sys.modules)"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], check=False, cwd=Path(__file__).resolve().parents[3]

@@ -132,7 +132,7 @@ class TrialPanel(Panel):
         self.no.clicked.connect(lambda: self._intents.answer(False))
         self.photo.clicked.connect(self._intents.photo)
         self.no.setToolTip("End the run; nothing has moved")
-        self.yes.setToolTip("Go on (Enter)")
+        self.yes.setToolTip("Go on (Y)")
         self.reason.returnPressed.connect(lambda: self.judge(Outcome.ABORTED))
         for outcome, button in self.outcomes.items():
             button.clicked.connect(_judged(self, outcome))

@@ -52,9 +52,9 @@ class AttendedPresenter:
         if not self._mine:
             return
         if isinstance(fact, SetUpAwaited):
-            self._ask(TrialLook("Set the scene", scene_to_set(fact), "Ready", self._scene(fact)))
+            self._ask(TrialLook("Set the scene", scene_to_set(fact), "Ready  Y", self._scene(fact)))
         elif isinstance(fact, HandOverAwaited):
-            self._ask(TrialLook("Hand the piece over", hand_over(fact), "It is there"))
+            self._ask(TrialLook("Hand the piece over", hand_over(fact), "It is there  Y"))
         elif isinstance(fact, OutcomeAwaited):
             self._ask(TrialLook("What became of it?", fact.why, proposed=fact.proposed))
         elif isinstance(fact, _OVER):

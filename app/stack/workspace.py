@@ -50,7 +50,7 @@ class StackWorkspace(Workspace):
             Command("approve", "Approve the move that waits", "A", self._approve),
             Command("pause", "Pause or resume", "P", self._pause),
             Command("compare", "Compare the strategies on the same seed", "Ctrl+D", self._compare),
-            Command("confirm", "Yes: the scene is set, the hand is there, as proposed", "Return",
+            Command("confirm", "Yes: the scene is set, the hand is there, as proposed", "Y",
                     lambda: self._on_trial(AttendedPresenter.confirm)),
             *(
                 Command(name, text, key, partial(self._see, outcome))

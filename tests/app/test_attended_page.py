@@ -33,7 +33,7 @@ def press(main, key):
     QTest.keyClick(main.window.windowHandle(), key)
 
 
-def test_the_scene_is_pictured_and_enter_says_that_it_is_set(live, bench, stack):
+def test_the_scene_is_pictured_and_a_key_says_that_it_is_set(live, bench, stack):
     trial = stack.page.trial
     assert not trial.isVisible()
     bench.hub.publish(SetUpAwaited(0.0, "pot", "short", (6.2, -3.4), holds=False))
@@ -42,11 +42,11 @@ def test_the_scene_is_pictured_and_enter_says_that_it_is_set(live, bench, stack)
     assert trial.picture.scene.offset_mm == (6.2, -3.4)
     assert "+6.2" in trial.text.text()
     assert not stack.page.belief_panel.isVisible()
-    press(live, Qt.Key.Key_Return)
+    press(live, Qt.Key.Key_Y)
     assert bench.answers == [True]
     assert not trial.isVisible()
     assert stack.page.belief_panel.isVisible()
-    press(live, Qt.Key.Key_Return)
+    press(live, Qt.Key.Key_Y)
     assert bench.answers == [True], "nothing is asked any more"
     bench.hub.publish(HandOverAwaited(1.0, "pot", gives=True))
     settle(live)
@@ -66,7 +66,7 @@ def ask(live, bench):
         (Qt.Key.Key_1, Outcome.PLACED),
         (Qt.Key.Key_2, Outcome.FELL),
         (Qt.Key.Key_3, Outcome.KNOCKED_OVER),
-        (Qt.Key.Key_Return, ASKED.proposed),
+        (Qt.Key.Key_Y, ASKED.proposed),
     ],
 )
 def test_one_key_says_what_became_of_it(live, bench, stack, key, seen):

@@ -166,8 +166,6 @@ def train(day, workspace):
     page.form.labels.setCurrentIndex(1)
     for name, value in {"hidden": 8, "epochs": 1, "layers": 1, "held_out": 40}.items():
         getattr(page.form.numbers, name).setValue(value)
-    day.wait(lambda: settled() and "Collect another campaign" in page.leaks.text())
-    page.form.divide.setChecked(True)
     day.wait(lambda: settled() and page.form.start.isEnabled())
     day.press(KEY.Key_Return, CTRL)
     day.wait(lambda: workspace.presenter.thread is None and settled())

@@ -19,7 +19,7 @@ from backend.config.simulation import SimulationSettings
 from backend.core.faults import Fault, FaultError
 from backend.emulators.faults import FaultPlan
 from backend.emulators.front import TcpFront
-from backend.emulators.joined_serving import serve_bench
+from backend.emulators.joined_serving import serve_bench, take_short_turns
 from backend.emulators.truth import EmulatedTruth
 from backend.objects.catalogue import load_catalogue
 from backend.runs.requests import SceneChoice
@@ -120,6 +120,7 @@ def _set(order: dict[str, Any], present: ExitStack) -> tuple[str, int]:
     told = TcpFront(EmulatedTruth(joined))
     for ending in (told.close, emulation.close, joined.close):
         present.callback(ending)
+    take_short_turns()
     joined.start()
     emulation.start()
     told.start()

@@ -20,7 +20,7 @@ from backend.emulators.faults import FaultPlan, load_faults
 from backend.emulators.front import Front
 from backend.emulators.gelsight import SERIAL
 from backend.emulators.joined import JoinedScene
-from backend.emulators.joined_serving import lab_toml, serve_bench
+from backend.emulators.joined_serving import lab_toml, serve_bench, take_short_turns
 from backend.emulators.loads import hanging, noisy
 from backend.emulators.serving import SUFFERS, Choice, Emulation, Wrench, bench_toml, emulate
 from backend.objects.catalogue import load_catalogue
@@ -95,9 +95,10 @@ def _serve(
 ) -> int:
     end = threading.Event()
     begun_s = time.monotonic()
-    emulation.start()
     if world is not None:
+        take_short_turns()
         world.start()
+    emulation.start()
     try:
         screen.say(f"The emulated {args.kind} answers at {emulation.fronts[0].url}.")
         if args.lab_file is None:

@@ -6,6 +6,9 @@ from collections.abc import Mapping
 
 from backend.core.faults import Fault, FaultError
 
+VOID_PRESS = "PRESS-VOID"
+"""Code of a press during which the arm stood still for a moment: what was felt does not count."""
+
 
 class CommandedMotion:
     """Ends once, well or with a fault; ``sent`` is what really went out."""

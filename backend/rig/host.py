@@ -38,6 +38,8 @@ from backend.rig.rows import Row, arm_row, gripper_row, sensor_row, slow_row
 STATE_ROUNDS, SLOW_ROUNDS = 5, 50
 """The state is shown every 20 ms, what a person looks at every 200 ms."""
 Found = Motion | list[float] | None
+GRIP_STANDS_S = 0.3
+"""The jaws stand so long after the gripper told that it holds."""
 AT_ONCE = frozenset({"arm.halt", "arm.place_of"})
 """Carried out where they are heard: they wait for nothing."""
 
@@ -96,7 +98,7 @@ class RigHost:
         self._slow: dict[str, Row] = {}
         self._cursors = [devices.samples.count, devices.poses.count]
         self._wrench_s = -np.inf
-        self._gripped_mm = np.nan
+        self._held_since_s, self._gripped_mm = np.inf, np.nan
         self._waiting: dict[str, queue.SimpleQueue[Message | None]] = {}
         for name in devices.named():
             self._waiting[name] = queue.SimpleQueue()
@@ -186,15 +188,20 @@ class RigHost:
                 "gripper": gripper_row(self.devices.gripper, self._homing),
                 "force_torque": sensor_row(self.devices.force_torque),
             }
-            self._remember_grip()
+            self._remember_grip(now_s)
             self._memory.show({name: {**self._slow[name], **row} for name, row in rows.items()})
 
-    def _remember_grip(self) -> None:
-        """Keep the width at which the piece was gripped, once the jaws stand."""
+    def _remember_grip(self, now_s: float) -> None:
+        """Keep the width at which the piece was gripped, once the jaws stand.
+
+        A gripper tells that it holds before it tells its last width.
+        """
         status = self.devices.gripper.status()
         if not status.holding:
-            self._gripped_mm = np.nan
-        elif not np.isfinite(self._gripped_mm):
+            self._held_since_s, self._gripped_mm = np.inf, np.nan
+            return
+        self._held_since_s = min(self._held_since_s, now_s)
+        if np.isnan(self._gripped_mm) and now_s >= self._held_since_s + GRIP_STANDS_S:
             self._gripped_mm = status.width_mm
 
     def _note(self, now_s: float, text: str) -> None:

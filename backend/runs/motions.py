@@ -48,31 +48,36 @@ def take_piece(bench: Bench) -> Plan[None]:
 def zero_sensors(bench: Bench, probe: int) -> Plan[None]:
     """In air, at rest: take the tare and both tactile references.
 
-    A marker hidden for a moment refuses the reference; it is tried again until ``REFERENCE_S``.
+    A marker hidden for a moment, a gap in the samples or a knock at the table refuses them; they
+    are tried again until ``REFERENCE_S``.
     """
     yield PhaseEntered(bench.now_s(), "reference", probe)
     count = bench.settings.probe.reference_frames
     yield from rest(bench, SETTLE_S + count / 25.0)
-    bench.sensing.zero_wrench(bench.now_s())
     give_up_s = bench.now_s() + REFERENCE_S
     while True:
         try:
+            bench.sensing.zero_wrench(bench.now_s())
             bench.sensing.take_references(count)
-        except RefusedError as cause:
+        except (FaultError, RefusedError) as cause:
             if bench.now_s() >= give_up_s:
-                raise FaultError(_no_reference(cause)) from cause
+                raise _no_reference(cause) from cause
         else:
             return
         yield from rest(bench, 0.1)
 
 
-def _no_reference(cause: RefusedError) -> Fault:
-    return Fault(
-        "NO-REFERENCE",
-        f"No tactile reference within {REFERENCE_S:.0f} s: {cause.detail}",
-        "No probe was started; the gripper was not opened.",
-        "Look at the tactile images, then press Reset.",
-        "tactile",
+def _no_reference(cause: FaultError | RefusedError) -> FaultError:
+    if isinstance(cause, FaultError):
+        return cause
+    return FaultError(
+        Fault(
+            "NO-REFERENCE",
+            f"No tactile reference within {REFERENCE_S:.0f} s: {cause.detail}",
+            "No probe was started; the gripper was not opened.",
+            "Look at the tactile images, then press Reset.",
+            "tactile",
+        )
     )
 
 

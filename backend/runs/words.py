@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from backend.core.facts import HandOverAwaited, OutcomeAwaited, SetUpAwaited
+from backend.core.faults import Fault
 from backend.core.flow import ContactPatch, Outcome, PlaceAction, Stability, SupportKind
 
 CONTRADICTED = "The physics engine contradicts the static judge here; the static judge decides."
@@ -69,6 +70,11 @@ def hand_over(awaited: HandOverAwaited) -> str:
 def rejected(probe: int, reasons: tuple[str, ...]) -> str:
     """Say why a probe is no observation."""
     return f"Probe {probe} is not an observation: {'; '.join(reasons)}."
+
+
+def void_press(probe: int, fault: Fault) -> str:
+    """Say why a press is made again."""
+    return f"Probe {probe} is void: {fault.what} Pressing again."
 
 
 def late(held_s: float) -> str:

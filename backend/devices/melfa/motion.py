@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from backend.core.faults import Fault, RefusedError
-from backend.devices.motion import CommandedMotion
+from backend.devices.motion import VOID_PRESS, CommandedMotion
 
 ARM = "arm"
 HELD = "The arm stands still; the gripper was not opened."
@@ -27,7 +27,7 @@ REPLACED = Fault(
     ARM,
 )
 VOID = Fault(
-    "PRESS-VOID",
+    VOID_PRESS,
     "Replies of the controller stayed away for 35 ms during a press.",
     "The arm stood still meanwhile; the episode does not count.",
     "Press again. If it happens often, look at the load of this computer and at the network.",

@@ -153,6 +153,22 @@ def test_a_held_piece_is_let_go_by_a_right_only(rig):
     assert rig.log == ["open to 50.0"]
 
 
+def test_the_width_of_a_grip_is_the_one_at_which_the_jaws_stand(rig):
+    """A gripper tells that it holds before it tells its last width."""
+    jig = {"from_jig_mm": 0.0, "moved_mm": 0.0, "force_n": 0.0, "holding": True}
+    back = {"right": "JigEvidence", "evidence": jig, "width_mm": 50.0, "speed_mm_s": 10.0}
+    rig.gripper.grip_status = GripStatus(50.0, 0.0, holding=False)
+    rig.rounds(0.02)
+    rig.gripper.grip_status = GripStatus(32.4, 10.0, holding=True)
+    rig.rounds(0.05)
+    rig.gripper.grip_status = GripStatus(30.0, 10.0, holding=True)
+    rig.rounds(0.1)
+    assert reason(lambda: rig.order("gripper.open_held", **back)) == "RIG-WIDTH"
+    rig.rounds(0.3)
+    rig.order("gripper.open_held", **back)
+    assert rig.log == ["open to 50.0"]
+
+
 def test_a_press_tells_its_contact_and_what_it_still_feels(rig):
     rig.arms.contact = lambda pivot: np.array([0.0, 0.0, 8.0 * max(59.5 - pivot[2], 0.0)])
     rig.rounds(0.3)

@@ -21,12 +21,18 @@ from backend.core.facts import (
     Released,
     RunFinished,
     RunStarted,
+    Said,
     StabilityJudged,
     TrialFinished,
     TrialStarted,
 )
 from backend.core.flow import ContactPatch, Episode, Outcome
 from backend.dataset.episode_reading import read_episode
+from backend.devices.melfa.motion import VOID
+from backend.devices.motion import CommandedMotion
+from backend.devices.protocols import PressCommand
+from backend.devices.sim.arm import SimArm
+from backend.devices.sim.motion import SimPressMotion
 from backend.runs.excuse import excused_by
 from backend.runs.journal import Journal, read_journal
 from tests.backend.brisk import brisk_method
@@ -312,3 +318,33 @@ def test_a_full_disk_stops_the_run_and_keeps_what_was_written(
     assert bench.benches[-1].truth().stands is None
     assert folder is not None
     assert len(list(read_journal(folder))) == after_facts
+
+
+@pytest.mark.parametrize(("voids", "outcome"), [(2, Outcome.PLACED), (3, Outcome.ABORTED)])
+def test_a_void_press_is_made_again_but_not_for_ever(
+    voids: int, outcome: Outcome, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a real arm ends a press with while its replies stay away, here in mid-press."""
+    pressing: list[CommandedMotion] = []
+    press = SimArm.press
+
+    def remembered(arm: SimArm, command: PressCommand) -> SimPressMotion:
+        pressing.append(press(arm, command))
+        return pressing[-1]
+
+    monkeypatch.setattr(SimArm, "press", remembered)
+    bench = OracleSession(rate_hz=25.0)
+
+    def lose(fact: Fact) -> None:
+        if isinstance(fact, PhaseEntered) and fact.phase == "press" and len(pressing) <= voids:
+            pressing[-1].end(VOID)
+
+    bench.session.hub.subscribe(lose)
+    bench.session.run(request(trials=1))
+    end = last_trial(bench)
+    assert end.outcome is outcome, end.reason
+    assert len(pressing) == (voids + end.probes if outcome is Outcome.PLACED else 3)
+    told = [f.text for f in bench.of(Said) if "is void" in f.text]
+    assert len(told) == 2
+    assert len(bench.of(EpisodeRecorded)) == end.probes
+    assert bench.benches[-1].gripper.status().holding is (outcome is Outcome.ABORTED)

@@ -1,7 +1,7 @@
 """The emulated bench beside the simulated one, on the same seeds: outcomes, wrench, markers.
 
-Real time over real sockets, terminals and pipes: on a busy machine run it at real-time priority
-(``chrt -r 1``), else presses are voided. A trial that a link fault ended is tried again.
+Real time over real sockets, terminals and pipes: on a busy machine presses are voided and made
+again. A trial that a link fault ended is tried again.
 """
 
 from __future__ import annotations

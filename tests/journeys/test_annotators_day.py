@@ -1,4 +1,4 @@
-"""Sixty probes labelled by keys in the real window, killed twice, reviewed, handed on."""
+"""A hundred probes labelled by keys in the real window, killed twice, reviewed, handed on."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from backend.catalogue.dataset import Dataset
 from backend.catalogue.recovery import examine
 from backend.catalogue.values import Revision
 
-COLLECTED, PACKED = 2, 58
+COLLECTED, PACKED = 2, 98
 """Probes through the devices of the bench, and from its mass simulation."""
-KILLS = ((8, 16), (28, 38))
+KILLS = ((12, 30), (45, 70))
 """Between so many labelled episodes in all the window is killed."""
 LATER_S = 0.15
 FORMATS = ("csv", *(("lerobot",) if find_spec("pyarrow") and find_spec("av") else ()))

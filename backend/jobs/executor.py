@@ -11,12 +11,11 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Protocol
 
+from backend.core.niceness import step_back
 from backend.jobs.running import JobResult, Kinds, run_job
 from backend.jobs.spec import JobSpec
 from backend.jobs.store import JobStore
 
-NICENESS = 10
-"""Work in bulk never slows down what the operator does beside it."""
 DEATHS = 2
 """A job that was under way when a worker died is tried again this often."""
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -123,13 +122,8 @@ class LocalPool:
 
     def _new_pool(self) -> ProcessPoolExecutor:
         return ProcessPoolExecutor(
-            self._workers, multiprocessing.get_context("spawn"), initializer=_be_nice
+            self._workers, multiprocessing.get_context("spawn"), initializer=step_back
         )
-
-
-def _be_nice() -> None:
-    if os.name == "posix":
-        os.nice(NICENESS)
 
 
 @contextmanager

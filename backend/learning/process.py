@@ -13,11 +13,9 @@ import threading
 from pydantic import BaseModel, ValidationError
 
 from backend.core.faults import InputError
+from backend.core.niceness import step_back
 from backend.learning.fitting import fit
 from backend.learning.job import Refused, TrainingJob
-
-NICENESS = 10
-"""A training must never slow down a bench that runs beside it."""
 
 
 def _tell(message: BaseModel) -> None:
@@ -39,8 +37,7 @@ def main() -> int:
         cancelled.set()
 
     threading.Thread(target=listen, name="listen", daemon=True).start()
-    if os.name == "posix":
-        os.nice(NICENESS)
+    step_back()
     try:
         fit(job, _tell, cancelled.is_set)
     except InputError as error:

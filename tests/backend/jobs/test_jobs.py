@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from backend.core.faults import InputError
+from backend.core.niceness import NICENESS
 from backend.jobs.campaign import parse_shard, run_campaign, shard_of, startable
 from backend.jobs.executor import DEATHS, Executor, LocalPool, Serial
 from backend.jobs.running import JobResult, run_job
@@ -120,7 +121,8 @@ def test_two_processes_give_the_numbers_of_one(tmp_path: Path) -> None:
     assert numbers(alone, specs) == numbers(shared, specs)
     assert shared.result(told.id)["omp"] == "1"
     if os.name == "posix":
-        assert shared.result(told.id)["nice"] > os.nice(0)
+        # Started by one that has stepped back itself, it does not fall behind all others.
+        assert shared.result(told.id)["nice"] == max(NICENESS, os.nice(0))
 
 
 def test_a_killed_worker_loses_no_finished_job(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """The flight recorder: the last 5 s of the rig beside the run journal, once there was a fault.
 
 The rig keeps them in shared memory and writes no files; the backend does, also after its death.
+Room for one is reserved while a run lasts: the fault may be that the disk is full.
 """
 
 from __future__ import annotations
@@ -11,13 +12,15 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-from backend.core.facts import Fact, FaultRaised
+from backend.core.facts import Fact, FaultRaised, RunFinished, RunStarted
 from backend.core.faults import Fault
-from backend.core.files import write_atomically
 from backend.devices.traced import TRACE
 from backend.rig.memory import SharedMemory
+from backend.rig.reserve import Reserve
 
 KEPT_S = 5.0
+RESERVED_BYTES = 4 << 20
+"""More than one recording takes."""
 MOST_FILES = 8
 """A run that raises one fault after the other keeps its first ones."""
 NAMES = ("fx_n", "fy_n", "fz_n", "tx_nm", "ty_nm", "tz_nm")
@@ -30,21 +33,31 @@ class FlightRecorder:
         self, memory: Callable[[], SharedMemory | None], folder: Callable[[], Path | None]
     ) -> None:
         self._memory, self._folder = memory, folder
+        self._reserve = Reserve()
 
     def note(self, fact: Fact) -> None:
         """Write the last seconds if ``fact`` is a fault and a run is kept."""
         memory, folder = self._memory(), self._folder()
-        if not isinstance(fact, FaultRaised) or memory is None or folder is None:
+        if isinstance(fact, RunFinished):
+            self._reserve.give_back()
+        if memory is None or folder is None or not folder.is_dir():
             return
+        if isinstance(fact, RunStarted):
+            self._reserve.take(folder, RESERVED_BYTES)
+        elif isinstance(fact, FaultRaised):
+            self._write(memory, folder, fact)
+
+    def _write(self, memory: SharedMemory, folder: Path, fact: FaultRaised) -> None:
         number = sum(1 for _ in folder.glob("flight-*.jsonl")) + 1
-        if not folder.is_dir() or number > MOST_FILES:
+        if number > MOST_FILES:
             return
         content = "".join(lines(memory, fact.t_s, fact.fault)).encode()
         try:
-            write_atomically(folder / f"flight-{number}.jsonl", content)
+            self._reserve.write(folder / f"flight-{number}.jsonl", content)
         except OSError:
             # The fault itself stands in the journal and on a card; a full disk says so elsewhere.
             return
+        self._reserve.take(folder, RESERVED_BYTES)
 
 
 def lines(memory: SharedMemory, t_s: float, fault: Fault) -> Iterator[str]:

@@ -9,21 +9,19 @@ from __future__ import annotations
 import contextlib
 import math
 import threading
-from collections import deque
 from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from backend.config.hardware import MelfaSettings
 from backend.core.faults import Fault, FaultError
-from backend.core.flow import FloatArray, Pose
+from backend.core.flow import Pose
 from backend.core.stream import SampleStream
 from backend.core.turning import UNTURNED, refuse_turned, turn_of, vector_of
 from backend.devices.melfa.console import Console
 from backend.devices.melfa.fields import raw_fields, trace_of, words_of
 from backend.devices.melfa.guard import JOINT_RANGES
-from backend.devices.melfa.link_faults import NO_WRENCH, NOT_CONNECTED, link_fault
-from backend.devices.melfa.motion import ARM, STOPPED, ArmPress
+from backend.devices.melfa.link_faults import link_fault
 from backend.devices.melfa.orders import Orders
 from backend.devices.melfa.stream import END, Inbox, Phase, StreamCore
 from backend.devices.melfa.watch import Watch
@@ -41,9 +39,11 @@ from backend.devices.protocols import (
     Vector,
 )
 from backend.devices.steps import Steps
+from backend.devices.streamed.measured import MeasuredPlaces
+from backend.devices.streamed.motion import ARM, NOT_CONNECTED, STOPPED, ArmPress
+from backend.devices.streamed.orders import air_before
 
 INF = math.inf
-RATE_WINDOW_S = 1.0
 WAIT_S = 0.02
 OPEN_S = 5.0
 
@@ -63,7 +63,9 @@ class MelfaArm:
     ) -> None:
         self._wires, self._settings, self._now_s = wires, settings, now_s
         self._wrench, self._wrench_cursor = wrench, 0
-        self._poses = poses or SampleStream(ARM, 3, 32_768)
+        self._measured = MeasuredPlaces(now_s, poses)
+        self.poses = self._measured.poses
+        """Measured position of ``G``, mm in the bench, once per cycle."""
         self._orders = Orders(settings)
         self._core = StreamCore(settings, self._orders.placing)
         self._watch: Watch | None = None
@@ -71,41 +73,21 @@ class MelfaArm:
         self._console = Console(wires, settings, self._stopped.is_set)
         self._lock = threading.Lock()
         self.steps = Steps()
-        self._state = DeviceState.CLOSED
-        self._identity: Identity | None = None
-        self._received = 0
+        self.state = DeviceState.CLOSED
+        """Where the connection is in its life."""
+        self.identity: Identity | None = None
+        """Known once connected; the controller tells no number, so its address stands for it."""
         self._powered = False
-        self._arrivals: deque[float] = deque(maxlen=512)
         self.fault: Fault | None = None
 
     # -- connection -------------------------------------------------------------------------------
 
     @property
-    def state(self) -> DeviceState:
-        """Where the connection is in its life."""
-        return self._state
-
-    @property
-    def identity(self) -> Identity | None:
-        """Known once connected; the controller tells no number, so its address stands for it."""
-        return self._identity
-
-    @property
-    def poses(self) -> SampleStream:
-        """Measured position of ``G``, mm in the bench, once per cycle."""
-        return self._poses
-
-    @property
     def health(self) -> Health:
         """Rate of measured positions over the last second, age of the newest, counts."""
-        now_s = self._now_s()
         with self._lock:
-            arrivals, counts = list(self._arrivals), self._core.replies.counts
-            received = self._received
-            lost = counts.refused + counts.skipped
-        newest_s = arrivals[-1] if arrivals else float("-inf")
-        rate_hz = sum(t_s > now_s - RATE_WINDOW_S for t_s in arrivals) / RATE_WINDOW_S
-        return Health(rate_hz, now_s - newest_s, received, lost)
+            counts = self._core.replies.counts
+            return self._measured.health(counts.refused + counts.skipped)
 
     def describe(self) -> Mapping[str, str | float]:
         """Return the commanded place and the counts of the link."""
@@ -113,21 +95,20 @@ class MelfaArm:
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
         """Go through the start-up to an open stream; ``timeout_s`` is the least for each step."""
-        if self._state is DeviceState.READY:
+        if self.state is DeviceState.READY:
             return
         self.close()
-        self._state, self.fault = DeviceState.CONNECTING, None
+        self.state, self.fault = DeviceState.CONNECTING, None
         self._stopped.clear()
         self._console = Console(
             self._wires, self._settings, lambda: cancel.is_set() or self._stopped.is_set()
         )
-        self._received = 0
-        self._arrivals.clear()
+        self._measured.begin()
         self.steps.begin()
         try:
             self._wires.open(self._cycle, self._lost)
             self.steps.reached("reach")
-            self._identity = self._console.start_up(self.steps.reached)
+            self.identity = self._console.start_up(self.steps.reached)
             self._powered = True
             self._open_stream()
             self.steps.reached("first sample")
@@ -135,10 +116,10 @@ class MelfaArm:
             self._give_up()
             raise FaultError(self._latched() or error.fault) from error
         # What was measured on the way up belongs to no connection yet.
-        self._poses.clear()
+        self.poses.clear()
         with self._lock:
             ready = self._latched() is None
-            self._state = DeviceState.READY if ready else DeviceState.FAULT
+            self.state = DeviceState.READY if ready else DeviceState.FAULT
 
     def examine(self) -> Identity:
         """Ask who answers, while closed; raises ``FaultError``. Nothing is switched on."""
@@ -150,7 +131,7 @@ class MelfaArm:
 
     def close(self) -> None:
         """Brake, end the stream, stop, switch the servo off; the gripper stays as it is."""
-        if self._state is DeviceState.CLOSED:
+        if self.state is DeviceState.CLOSED:
             return
         with self._lock:
             self._core.halt()
@@ -159,7 +140,7 @@ class MelfaArm:
 
     def servo(self, on: bool) -> None:
         """Switch the motors; the place is told all the while. May take seconds."""
-        if self._state is not DeviceState.READY:
+        if self.state is not DeviceState.READY:
             raise FaultError(self.fault or NOT_CONNECTED)
         if on:
             self._stopped.clear()
@@ -184,7 +165,7 @@ class MelfaArm:
             self._console.shut_down()
         self._watch = None
         self._wires.close()
-        self._state = DeviceState.CLOSED
+        self.state = DeviceState.CLOSED
 
     def _open_stream(self) -> None:
         """Take the place that the running program replies; raises ``FaultError``."""
@@ -213,7 +194,7 @@ class MelfaArm:
             inbox = Inbox(datagrams, samples.t_s, samples.values[:, :3])
             out = self._core.step(now_s, inbox)
             if out.pose_mm is not None:
-                self._put(now_s, out.pose_mm)
+                self._measured.put(now_s, out.pose_mm)
             if self._watch is not None:
                 self._supervise(now_s, self._watch)
             if out.fault is not None:
@@ -226,17 +207,12 @@ class MelfaArm:
         streaming = self._core.phase in (Phase.OPEN, Phase.HOLDING)
         watch.step(now_s, streaming=streaming)
         if watch.place_mm is not None:
-            self._put(now_s, watch.place_mm)
+            self._measured.put(now_s, watch.place_mm)
             watch.place_mm = None
         if watch.fault is not None:
             self._core.stop(watch.fault)
             self._latch(watch.fault)
             watch.fault = None
-
-    def _put(self, now_s: float, pose_mm: FloatArray) -> None:
-        self._poses.put(np.array([now_s]), pose_mm[None])
-        self._received += 1
-        self._arrivals.append(now_s)
 
     def _latched(self) -> Fault | None:
         return self.fault
@@ -245,7 +221,7 @@ class MelfaArm:
         """Keep the first fault, unless the controller's own reason comes after a silence."""
         if self.fault is None or self.fault.code in ("MXT-LOST", "MXT-ENDED"):
             self.fault = fault
-        self._state = DeviceState.FAULT
+        self.state = DeviceState.FAULT
 
     def _lost(self, fault: Fault) -> None:
         with self._lock:
@@ -257,12 +233,12 @@ class MelfaArm:
     def status(self) -> ArmStatus:
         """Return the status words."""
         state = None if self._watch is None else self._watch.state
-        return words_of(self._state, state, self.fault, moving=self._orders.under_way(self._core))
+        return words_of(self.state, state, self.fault, moving=self._orders.under_way(self._core))
 
     @property
     def press_n(self) -> float:
         """Felt press force by the zero of the contact law; NaN without contact."""
-        return self._orders.press_n()
+        return self._orders.level.press_n()
 
     def trace(self) -> tuple[float, ...]:
         """Return the values of ``TRACE`` as they are now."""
@@ -271,8 +247,7 @@ class MelfaArm:
 
     def pose(self, max_age_s: float) -> Pose:
         """Return the measured pose; raises ``StaleSampleError`` if it is older."""
-        _, values = self._poses.latest(self._now_s(), max_age_s)
-        x, y, z = values.tolist()
+        x, y, z = self._measured.latest_mm(max_age_s)
         with self._lock:
             turned, joints = self._core.turn is not UNTURNED, self._core.measured_rad
         if not turned:
@@ -311,7 +286,7 @@ class MelfaArm:
 
     def joints_rad(self, max_age_s: float) -> Joints:
         """Return the measured joints; raises ``StaleSampleError`` if they are older."""
-        self._poses.latest(self._now_s(), max_age_s)
+        self.poses.latest(self._now_s(), max_age_s)
         with self._lock:
             return tuple(self._core.measured_rad.tolist())
 
@@ -348,20 +323,15 @@ class MelfaArm:
         """Press compliantly from here straight down; refused while the hand is turned."""
         self._require_stream()
         refuse_turned(self._core.turn)
-        now_s = self._now_s()
-        air = self._wrench.window(now_s - 1.0, now_s)
-        finite = np.isfinite(air.values).all(axis=1)
-        t_s, force_n = air.t_s[finite], air.values[finite, :3]
-        if not len(t_s):
-            raise FaultError(NO_WRENCH)
+        before = air_before(self._wrench, self._now_s())
         with self._lock:
-            return self._orders.press(self._core, command, (t_s, force_n))
+            return self._orders.level.press(self._core, command, before)
 
     def unload(self, force_n: float, speed_mm_s: float) -> CommandedMotion:
         """Rise until the press force is ``force_n``."""
         self._require_stream()
         with self._lock:
-            return self._orders.unload(self._core, force_n, speed_mm_s)
+            return self._orders.level.unload(self._core, force_n, speed_mm_s)
 
     def halt(self) -> None:
         """Brake and stand still; the stream goes on."""
@@ -373,13 +343,13 @@ class MelfaArm:
         self._stopped.set()
         with self._lock:
             self._core.stop()
-        if self._state is not DeviceState.CLOSED:
+        if self.state is not DeviceState.CLOSED:
             self._wires.stop_now(END)
             self._wires.pace(running=False)
 
     def _require_stream(self) -> None:
         """Raise ``FaultError`` unless ready; after a stop the stream is opened again."""
-        if self._state is not DeviceState.READY:
+        if self.state is not DeviceState.READY:
             raise FaultError(self.fault or NOT_CONNECTED)
         if not self._powered:
             # The program of the stream would switch them on.

@@ -12,8 +12,7 @@ from pathlib import Path
 
 from backend.core.faults import Fault, FaultError
 from backend.core.locks import lock_file
-from backend.devices.melfa.link_faults import NOTHING_MOVED
-from backend.devices.melfa.motion import ARM
+from backend.devices.streamed.motion import ARM, NOTHING_MOVED
 
 
 def claim(host: str, port: int) -> int:

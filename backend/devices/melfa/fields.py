@@ -45,7 +45,13 @@ def trace_of(core: StreamCore, orders: Orders) -> tuple[float, ...]:
         *core.measured_mm.tolist(),
         *core.sent_rad.tolist(),
         *core.measured_rad.tolist(),
-        *(PHASES[core.phase], core.missed, core.holds, orders.under_way(core), orders.press_n()),
+        *(
+            PHASES[core.phase],
+            core.missed,
+            core.holds,
+            orders.under_way(core),
+            orders.level.press_n(),
+        ),
     )
 
 

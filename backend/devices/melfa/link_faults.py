@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from backend.core.faults import Fault
-from backend.devices.melfa.motion import ARM, HELD
+from backend.devices.motion import VOID_PRESS
+from backend.devices.streamed.motion import ARM, HELD, NOTHING_MOVED
 from backend.wire.melfa_r3_answers import (
     EMERGENCY_ERRORS,
     NOT_READY_ERRORS,
     OUT_OF_RANGE_ERRORS,
     REJECTED_ERRORS,
 )
-
-NOTHING_MOVED = "Nothing was moved."
 
 START = Fault(
     "MXT-START",
@@ -21,18 +20,11 @@ START = Fault(
     ARM,
 )
 
-NOT_CONNECTED = Fault(
-    "NOT-CONNECTED",
-    "The device 'arm' is not connected.",
-    NOTHING_MOVED,
-    "Connect the device first.",
-    ARM,
-)
-NO_WRENCH = Fault(
-    "FT-STALE",
-    "No force was measured within the last second.",
-    NOTHING_MOVED,
-    "Check the force/torque sensor, then press again.",
+VOID = Fault(
+    VOID_PRESS,
+    "Replies of the controller stayed away for 35 ms during a press.",
+    "The arm stood still meanwhile; the episode does not count.",
+    "Press again. If it happens often, look at the load of this computer and at the network.",
     ARM,
 )
 

@@ -20,12 +20,12 @@ from backend.core.turning import LEVEL_RAD, UNTURNED, tilt_rad, vector_of
 from backend.devices.melfa.guard import check_joints, check_step
 from backend.devices.melfa.kinematics import STEPS_RAD, Placing
 from backend.devices.melfa.ladder import Rung, rung
-from backend.devices.melfa.link_faults import START, lost_fault, tilted_fault
-from backend.devices.melfa.motion import REPLACED, STOPPED, VOID, refused_fault
-from backend.devices.melfa.programs import Felt, Follow, Program
+from backend.devices.melfa.link_faults import START, VOID, lost_fault, tilted_fault
 from backend.devices.melfa.replies import MONITORS, Echo, Replies
-from backend.devices.melfa.turning import JointFollow, JointProgram, JointTravel, TurningFollow
 from backend.devices.motion import CommandedMotion
+from backend.devices.streamed.motion import REPLACED, STOPPED, refused_fault
+from backend.devices.streamed.programs import Felt, Follow, Program
+from backend.devices.streamed.turning import JointFollow, JointProgram, JointTravel, TurningFollow
 from backend.wire.melfa_blocks import Kind, Values
 from backend.wire.melfa_joints import CYCLE_S
 from backend.wire.melfa_mxt import Command, Request, encode_request

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import threading
-from collections import deque
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -18,8 +17,6 @@ from backend.core.faults import Fault, FaultError, RefusedError
 from backend.core.flow import FloatArray, Pose
 from backend.core.stream import SampleStream
 from backend.core.turning import LEVEL_RAD, turned_rad
-from backend.devices.melfa.motion import ARM, STOPPED, ArmPress
-from backend.devices.melfa.programs import Travel
 from backend.devices.motion import CommandedMotion, servo_off_fault
 from backend.devices.protocols import (
     STILL,
@@ -35,14 +32,12 @@ from backend.devices.protocols import (
     Vector,
 )
 from backend.devices.steps import Steps
-from backend.devices.ur.faults import (
-    NO_WRENCH,
-    NOT_CONNECTED,
-    leaning_fault,
-    link_fault,
-    robot_fault,
-)
-from backend.devices.ur.orders import UrOrders
+from backend.devices.streamed.admittance import Loop
+from backend.devices.streamed.measured import MeasuredPlaces
+from backend.devices.streamed.motion import ARM, NOT_CONNECTED, STOPPED, ArmPress
+from backend.devices.streamed.orders import StreamedOrders, air_before
+from backend.devices.streamed.programs import Travel
+from backend.devices.ur.faults import leaning_fault, link_fault, robot_fault
 from backend.devices.ur.rtde import (
     REDUCED,
     RUNNING,
@@ -55,7 +50,6 @@ from backend.devices.ur.servo import Placing, ServoCore, lean_rad
 from backend.devices.ur.watch import Watch
 
 BRAKE_M_S2 = 2.0
-RATE_WINDOW_S = 1.0
 SERVO_ON_S = 30.0
 LOOK_S = 0.05
 AXES = ("x_mm", "y_mm", "z_mm")
@@ -79,9 +73,17 @@ class UrArm:
     ) -> None:
         self._settings, self._now_s, self._open = settings, now_s, open_with
         self._wrench, self._cursor = wrench, 0
-        self._poses = poses or SampleStream(ARM, 3, 32_768)
+        self._measured = MeasuredPlaces(now_s, poses)
+        self.poses = self._measured.poses
+        """Measured position of ``G``, mm in the bench, once per cycle."""
         self._placing, self._cycle_s = Placing(settings), 1.0 / settings.rate_hz
-        self._orders = UrOrders(settings, self._cycle_s)
+        self._orders = StreamedOrders(
+            Loop(
+                self._cycle_s,
+                arm_lag_s=1e-3 * settings.arm_lag_ms,
+                sensor_lag_s=1e-3 * settings.sensor_lag_ms,
+            )
+        )
         self._core = ServoCore()
         self._robot: Interfaces | None = None
         self._rotation = np.zeros(3)
@@ -91,49 +93,31 @@ class UrArm:
         self._servoing = False
         self._watch = Watch(-math.inf)
         self.steps = Steps()
-        self._state = DeviceState.CLOSED
-        self._identity: Identity | None = None
-        self._received = 0
-        self._arrivals: deque[float] = deque(maxlen=512)
+        self.state = DeviceState.CLOSED
+        """Where the connection is in its life."""
+        self.identity: Identity | None = None
+        """Known once connected."""
         self.fault: Fault | None = None
 
     # -- connection -------------------------------------------------------------------------------
 
     @property
-    def state(self) -> DeviceState:
-        """Where the connection is in its life."""
-        return self._state
-
-    @property
-    def identity(self) -> Identity | None:
-        """Known once connected."""
-        return self._identity
-
-    @property
-    def poses(self) -> SampleStream:
-        """Measured position of ``G``, mm in the bench, once per cycle."""
-        return self._poses
-
-    @property
     def health(self) -> Health:
         """Rate of measured positions over the last second, age of the newest, counts."""
-        now_s, arrivals = self._now_s(), list(self._arrivals)
-        rate_hz = sum(t_s > now_s - RATE_WINDOW_S for t_s in arrivals) / RATE_WINDOW_S
-        age_s = now_s - arrivals[-1] if arrivals else math.inf
-        return Health(rate_hz, age_s, self._received, self._watch.late)
+        return self._measured.health(self._watch.late)
 
     def describe(self) -> Mapping[str, str | float]:
         """Return model, commanded place, and cycles without news."""
         place = dict(zip(AXES, self._core.command_mm.tolist(), strict=True))
-        model = self._identity.model if self._identity else "Universal Robots"
+        model = self.identity.model if self.identity else "Universal Robots"
         return {"kind": model, **place, "late": self._watch.late}
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
         """Connect, take the place of the arm, and begin the servo cycles; nothing moves."""
-        if self._state is DeviceState.READY:
+        if self.state is DeviceState.READY:
             return
         self.close()
-        self._state, self.fault = DeviceState.CONNECTING, None
+        self.state, self.fault = DeviceState.CONNECTING, None
         self.steps.begin()
         try:
             self._begin()
@@ -142,13 +126,13 @@ class UrArm:
             if isinstance(error, FaultError):
                 raise
             raise FaultError(link_fault(f"The robot cannot be reached: {error}.")) from error
-        self._state = DeviceState.READY
+        self.state = DeviceState.READY
 
     def close(self) -> None:
         """Brake, end the script; the gripper stays as it is."""
         self.stop()
         self._drop()
-        self._state = DeviceState.CLOSED
+        self.state = DeviceState.CLOSED
 
     def servo(self, on: bool) -> None:
         """Switch the motors over the dashboard; on takes seconds."""
@@ -168,12 +152,12 @@ class UrArm:
             raise FaultError(robot_fault("The motors do not come on"))
         with self._lock:
             robot.control.reuploadScript()
-            self._core.begin(self._measured(robot))
+            self._core.begin(self._place_mm(robot))
 
     def _begin(self) -> None:
         robot = self._robot = self._open(self._settings.host, self._settings.rate_hz)
         self.steps.reached("reach")
-        self._identity = identity_of(robot.dashboard, self._settings.host)
+        self.identity = identity_of(robot.dashboard, self._settings.host)
         self.steps.reached("identify")
         robot.control.setTcp([0.0, 0.0, 1e-3 * self._settings.tool_mm, 0.0, 0.0, 0.0])
         robot.control.setWatchdog(self._settings.watchdog_hz)
@@ -184,8 +168,8 @@ class UrArm:
             raise FaultError(leaning_fault(math.degrees(lean)))
         self._core.begin(self._placing.pivot_mm(pose))
         self.steps.reached("configure")
-        self._cursor, self._received = self._wrench.count, 0
-        self._arrivals.clear()
+        self._cursor = self._wrench.count
+        self._measured.begin()
         self._watch = Watch(self._now_s())
         self._stop_asked.clear()
         self._ends = threading.Event()
@@ -243,10 +227,8 @@ class UrArm:
     def _look(self, robot: Interfaces, now_s: float) -> None:
         """Take what the robot tells; raise the fault that it tells of."""
         if self._watch.has_news(robot.receive, now_s):
-            self._core.measured_mm = self._measured(robot)
-            self._poses.put(np.array([now_s]), self._core.measured_mm[None])
-            self._received += 1
-            self._arrivals.append(now_s)
+            self._core.measured_mm = self._place_mm(robot)
+            self._measured.put(now_s, self._core.measured_mm)
         if self.fault is None:
             self._watch.require_healthy(robot.receive, now_s)
 
@@ -266,7 +248,7 @@ class UrArm:
         ):
             raise FaultError(robot_fault("The robot refuses a servo command"))
 
-    def _measured(self, robot: Interfaces) -> FloatArray:
+    def _place_mm(self, robot: Interfaces) -> FloatArray:
         return self._placing.pivot_mm(np.array(robot.receive.getActualTCPPose()))
 
     def _still(self, robot: Interfaces) -> None:
@@ -277,8 +259,8 @@ class UrArm:
     def _latch(self, robot: Interfaces, fault: Fault) -> None:
         self._core.end(fault)
         self.fault = self.fault or fault
-        if self._state is DeviceState.READY:
-            self._state = DeviceState.FAULT
+        if self.state is DeviceState.READY:
+            self.state = DeviceState.FAULT
         try:
             self._still(robot)
         except RuntimeError:
@@ -302,8 +284,7 @@ class UrArm:
 
     def pose(self, max_age_s: float) -> Pose:
         """Return the measured pose; raises ``StaleSampleError`` if it is older."""
-        _, values = self._poses.latest(self._now_s(), max_age_s)
-        return Pose(*values.tolist())
+        return Pose(*self._measured.latest_mm(max_age_s))
 
     # -- motion -----------------------------------------------------------------------------------
 
@@ -337,7 +318,7 @@ class UrArm:
             raise ValueError(NO_TURNS)
         self._require_ready()
         with self._lock:
-            return self._orders.jog(self._core, velocity, self._now_s() + for_s)
+            return self._orders.follow(self._core, velocity, self._now_s() + for_s)
 
     # This arm does not rotate: the four below are refused.
 
@@ -360,12 +341,7 @@ class UrArm:
     def press(self, command: PressCommand) -> ArmPress:
         """Press compliantly from here straight down."""
         self._require_ready()
-        now_s = self._now_s()
-        air = self._wrench.window(now_s - 1.0, now_s)
-        finite = np.isfinite(air.values).all(axis=1)
-        if not finite.any():
-            raise FaultError(NO_WRENCH)
-        before = air.t_s[finite], air.values[finite, :3]
+        before = air_before(self._wrench, self._now_s())
         with self._lock:
             return self._orders.press(self._core, command, before)
 
@@ -387,7 +363,7 @@ class UrArm:
         self._stop_asked.set()
 
     def _require_link(self) -> Interfaces:
-        if self._robot is None or self._state is not DeviceState.READY:
+        if self._robot is None or self.state is not DeviceState.READY:
             raise FaultError(self.fault or NOT_CONNECTED)
         return self._robot
 

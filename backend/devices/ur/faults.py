@@ -3,16 +3,7 @@
 from __future__ import annotations
 
 from backend.core.faults import Fault
-from backend.devices.melfa.link_faults import NO_WRENCH, NOT_CONNECTED
-from backend.devices.melfa.motion import ARM, HELD
-
-__all__ = [
-    "NOT_CONNECTED",
-    "NO_WRENCH",
-    "leaning_fault",
-    "link_fault",
-    "robot_fault",
-]
+from backend.devices.streamed.motion import ARM, HELD, NOTHING_MOVED
 
 
 def link_fault(what: str) -> Fault:
@@ -42,7 +33,7 @@ def leaning_fault(degrees: float) -> Fault:
     return Fault(
         "TILTED",
         f"The hand leans {degrees:.1f}° away from straight down.",
-        "Nothing was moved.",
+        NOTHING_MOVED,
         "Point it down with the teach pendant, then connect again.",
         ARM,
     )

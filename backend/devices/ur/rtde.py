@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from backend.core.faults import Fault, FaultError
-from backend.devices.melfa.motion import ARM
 from backend.devices.protocols import Identity
+from backend.devices.streamed.motion import ARM
 
 RUNNING, NORMAL, REDUCED = 7, 1, 2
 """Robot mode, and the two safety modes in which the arm may move."""

@@ -14,9 +14,9 @@ from backend.core.faults import Fault, FaultError
 from backend.core.flow import FloatArray
 from backend.core.stream import Samples
 from backend.core.turning import turn_about
-from backend.devices.melfa.motion import ARM, HELD, REPLACED, STOPPED
-from backend.devices.melfa.programs import Felt, Follow, Program
 from backend.devices.motion import CommandedMotion
+from backend.devices.streamed.motion import ARM, HELD, REPLACED, STOPPED
+from backend.devices.streamed.programs import Felt, Follow, Program
 
 M_PER_MM = 1e-3
 LEAD_S, LEAD_MM = 0.25, 2.0

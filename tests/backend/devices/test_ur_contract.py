@@ -11,7 +11,7 @@ from backend.config.hardware import HardwareSettings
 from backend.core.faults import FaultError, RefusedError
 from backend.core.flow import Pose
 from backend.core.stream import SampleStream
-from backend.devices.melfa.making import make_arm
+from backend.devices.arms import make_arm
 from backend.devices.protocols import DeviceState, RobotMode, SafetyMode
 from backend.devices.sim.bench import SimulatedBench
 from backend.devices.ur import rtde

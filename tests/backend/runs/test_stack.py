@@ -28,7 +28,7 @@ from backend.core.facts import (
 )
 from backend.core.flow import ContactPatch, Episode, Outcome
 from backend.dataset.episode_reading import read_episode
-from backend.devices.melfa.motion import VOID
+from backend.devices.melfa.link_faults import VOID
 from backend.devices.motion import CommandedMotion
 from backend.devices.protocols import PressCommand
 from backend.devices.sim.arm import SimArm

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from backend.core.faults import FaultError, RefusedError
-from backend.devices.melfa.admittance import damping
-from backend.devices.melfa.stiffness import ContactStiffness
-from backend.devices.melfa.swing import SwingDetector
 from backend.devices.protocols import PressCommand
+from backend.devices.streamed.admittance import damping
+from backend.devices.streamed.stiffness import ContactStiffness
+from backend.devices.streamed.swing import SwingDetector
 from tests.backend.devices.emulated_arm import Rig
 
 TOUCH_MM = 59.0
@@ -63,7 +63,7 @@ def test_a_contact_that_is_too_stiff_is_found_and_calmed():
         motion.result()
     assert raised.value.fault.code == "CONTACT-SWINGS"
     found_s = rig.wires.clock.now_s() - motion.onset_s
-    assert found_s <= 12.0 * rig.arm._orders.loop.delay_s
+    assert found_s <= 12.0 * rig.arm._orders.level.loop.delay_s
     assert rig.wrench.since(0).values[:, 2].max() < 40.0
     rig.rest(1.0)
     felt = rig.wrench.window(rig.wires.clock.now_s() - 0.3, rig.wires.clock.now_s()).values[:, 2]
@@ -91,10 +91,10 @@ def test_the_stiffness_of_the_contact_is_found_and_damped_for(stiffness_n_mm):
     motion = rig.arm.press(PRESS)
     finish(rig, motion)
     motion.result()
-    press = rig.arm._orders._press
+    press = rig.arm._orders.level._press
     assert press.stiffness.found_n_mm == pytest.approx(stiffness_n_mm, rel=0.15)
     designed = 100.0 if stiffness_n_mm > 30.0 else 30.0
-    wanted = damping(rig.arm._orders.loop.delay_s, designed)
+    wanted = damping(rig.arm._orders.level.loop.delay_s, designed)
     assert press.compliance.law.damping == pytest.approx(wanted)
     steady_n = 1.5 * 15.0 * stiffness_n_mm / (15.0 + stiffness_n_mm)
     assert stiffness_n_mm * (TOUCH_MM - rig.true_mm[2]) == pytest.approx(steady_n, abs=0.25)
@@ -157,9 +157,9 @@ def test_the_arm_stands_while_the_wrench_is_no_number():
     assert motion.onset_s is not None
     rig.contact = lambda pivot: np.full(3, np.nan)
     rig.rest(0.15)
-    give = rig.arm.describe()["z_mm"] - rig.arm._orders._press.compliance.reference_mm[2]
+    give = rig.arm.describe()["z_mm"] - rig.arm._orders.level._press.compliance.reference_mm[2]
     rig.rest(0.1)
-    after = rig.arm.describe()["z_mm"] - rig.arm._orders._press.compliance.reference_mm[2]
+    after = rig.arm.describe()["z_mm"] - rig.arm._orders.level._press.compliance.reference_mm[2]
     assert after == pytest.approx(give, abs=1e-9)
 
 

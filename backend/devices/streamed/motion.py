@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from backend.core.faults import Fault, RefusedError
-from backend.devices.motion import VOID_PRESS, CommandedMotion
+from backend.devices.motion import CommandedMotion
 
 ARM = "arm"
 HELD = "The arm stands still; the gripper was not opened."
+NOTHING_MOVED = "Nothing was moved."
 
 
 class ArmPress(CommandedMotion):
@@ -26,11 +27,18 @@ REPLACED = Fault(
     "Wait for a motion to end before the next command.",
     ARM,
 )
-VOID = Fault(
-    VOID_PRESS,
-    "Replies of the controller stayed away for 35 ms during a press.",
-    "The arm stood still meanwhile; the episode does not count.",
-    "Press again. If it happens often, look at the load of this computer and at the network.",
+NOT_CONNECTED = Fault(
+    "NOT-CONNECTED",
+    "The device 'arm' is not connected.",
+    NOTHING_MOVED,
+    "Connect the device first.",
+    ARM,
+)
+NO_WRENCH = Fault(
+    "FT-STALE",
+    "No force was measured within the last second.",
+    NOTHING_MOVED,
+    "Check the force/torque sensor, then press again.",
     ARM,
 )
 

@@ -11,7 +11,8 @@ import numpy as np
 from backend.core.faults import Fault
 from backend.core.flow import FloatArray
 from backend.core.onset import OnsetDetector, OnsetRule
-from backend.devices.melfa.admittance import (
+from backend.devices.protocols import PressCommand
+from backend.devices.streamed.admittance import (
     DESIGN_N_MM,
     SPEED_MM_S,
     STIFF_N_MM,
@@ -19,11 +20,10 @@ from backend.devices.melfa.admittance import (
     Loop,
     law_for,
 )
-from backend.devices.melfa.compliance import OLD_S, Compliance
-from backend.devices.melfa.motion import ARM, HELD, ArmPress
-from backend.devices.melfa.programs import ACCELERATION_MM_S2, Felt
-from backend.devices.melfa.stiffness import ContactStiffness
-from backend.devices.protocols import PressCommand
+from backend.devices.streamed.compliance import OLD_S, Compliance
+from backend.devices.streamed.motion import ARM, HELD, ArmPress
+from backend.devices.streamed.programs import ACCELERATION_MM_S2, Felt
+from backend.devices.streamed.stiffness import ContactStiffness
 
 AIR_S = 0.2
 RETRACT_MM, RETRACT_MM_S = 2.0, 10.0

@@ -15,9 +15,9 @@ import numpy as np
 from backend.core.faults import Fault
 from backend.core.flow import FloatArray
 from backend.core.turning import UNTURNED
-from backend.devices.melfa.compliance import Compliance
-from backend.devices.melfa.motion import ARM, HELD
 from backend.devices.motion import CommandedMotion
+from backend.devices.streamed.compliance import Compliance
+from backend.devices.streamed.motion import ARM, HELD
 
 ACCELERATION_MM_S2 = 500.0
 AT_ZERO = np.zeros(6)

@@ -12,8 +12,8 @@ import numpy as np
 
 from backend.core.flow import FloatArray
 from backend.core.turning import turn_about, vector_of
-from backend.devices.melfa.programs import ACCELERATION_MM_S2, ARRIVED_S, Felt, braked
 from backend.devices.motion import CommandedMotion
+from backend.devices.streamed.programs import ACCELERATION_MM_S2, ARRIVED_S, Felt, braked
 
 ACCELERATION_RAD_S2 = 2.0
 ARRIVED_RAD = 2e-5

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from backend.core.flow import FloatArray
-from backend.devices.melfa.admittance import AT_REST, Law, Loop, cut_back, give_way
-from backend.devices.melfa.swing import SwingDetector
+from backend.devices.streamed.admittance import AT_REST, Law, Loop, cut_back, give_way
+from backend.devices.streamed.swing import SwingDetector
 
 SOFT_N, PRESS_N = 15.0, 25.0
 """Over the first the reference slows down to half, over the second it stands."""

@@ -1,0 +1,1 @@
+"""What arms share whose motions this computer streams: contact law, moves, presses."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from PySide6.QtCore import QPoint, QRect, QSize, Qt
+from PySide6.QtCore import QEvent, QPoint, QRect, QSize, Qt
 from PySide6.QtGui import QColor, QKeyEvent, QPainter, QPaintEvent, QPen, QRegion
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
@@ -17,6 +17,7 @@ from widgets.theme import Theme
 
 DIM = 110
 MARGIN_PX, RING_PX = 12, 4
+ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,14 +112,24 @@ class TourCard(QFrame):
         self.resize(width, high)
         self.move(beside(hole, self.size(), self._window.rect()))
 
+    def event(self, event: QEvent) -> bool:
+        """Keep Enter and Esc from the shortcuts of the page below: here they are its own."""
+        mine = (*ENTER, Qt.Key.Key_Escape)
+        if (
+            event.type() is QEvent.Type.ShortcutOverride
+            and isinstance(event, QKeyEvent)
+            and event.key() in mine
+        ):
+            event.accept()
+            return True
+        return super().event(event)
+
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """End with Esc; Enter presses the button that has the focus."""
         focus = self.focusWidget()
         if event.key() == Qt.Key.Key_Escape:
             self._end()
-        elif event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter) and isinstance(
-            focus, QPushButton
-        ):
+        elif event.key() in ENTER and isinstance(focus, QPushButton):
             focus.click()
         else:
             super().keyPressEvent(event)

@@ -28,7 +28,8 @@ def test_every_stop_lights_its_place_and_the_card_stands_in_the_window(live, siz
         assert live.window.rect().contains(tour.card.geometry())
         assert tour.card.text.height() >= tour.card.text.heightForWidth(tour.card.text.width())
         pages.append(live.window.front)
-        QTest.keyClick(tour.card.next, KEY.Key_Space)
+        # Collect has a meaning of its own for Enter; the tour comes first.
+        QTest.keyClick(live.window.windowHandle(), KEY.Key_Return)
     assert not tour.active
     assert set(pages) >= set(live.workspaces)
 
@@ -40,7 +41,10 @@ def test_it_is_in_nobodys_way_and_esc_ends_it(live, bench):
     assert bench.stops == 1
     settle(live)
     assert live.tour.active
-    QTest.keyClick(live.tour.card.next, KEY.Key_Escape)
+    while live.window.front != "train":
+        live.tour.turn(1)
+    # On this page Esc cancels a training; the tour comes first.
+    QTest.keyClick(live.window.windowHandle(), KEY.Key_Escape)
     assert not live.tour.active
     assert live.tour.card is None
     assert live.toured

@@ -23,6 +23,7 @@ LINES: dict[GhostKind, Qt.PenStyle] = {
 AT: dict[GhostKind, float] = {"commanded": 2.1, "measured": 3.9, "scene": 1.0, "model": -0.6}
 """Where on its outline a source is named (rad)."""
 SCALE_BAR_MM = 5.0
+THICKEN_PX = 0.3
 
 
 def draw_scale_bar(painter: QPainter, area: PlotArea, theme: Theme) -> None:
@@ -60,10 +61,13 @@ def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
     painter.setFont(ui_font(theme.scale, 0.85, 500))
     height = painter.fontMetrics().height()
     for row, ghost in enumerate(scene.ghosts):
-        pen = QPen(theme.tokens.colour("muted"), 1.4)
+        pen = QPen(theme.tokens.colour("muted"), 1)
         pen.setStyle(LINES[ghost.kind])
         painter.setPen(pen)
-        painter.drawPolygon(_placed(area, scene.face, ghost.offset_mm, scene.yaw_rad))
+        outline = _placed(area, scene.face, ghost.offset_mm, scene.yaw_rad)
+        # Twice a thin line: one that is wider than 1 px takes ten times as long to be dashed.
+        painter.drawPolygon(outline)
+        painter.drawPolygon(outline.translated(THICKEN_PX, THICKEN_PX))
         _sigma_circle(painter, area, ghost.offset_mm, ghost.sigma_mm)
         _legend_line(painter, area, ghost, row, height, left=legend_left(scene))
         _letters(painter, area, scene, ghost)
@@ -99,7 +103,7 @@ def draw_face(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Them
         return
     t = theme.tokens
     _points(painter, area, scene.points_mm[~scene.touching], t.colour("muted"), 2.0)
-    _points(painter, area, scene.points_mm[scene.touching], t.colour("axis_x"), 5.0)
+    _points(painter, area, scene.points_mm[scene.touching], t.colour("axis_x"), 4.5)
     painter.setBrush(Qt.BrushStyle.NoBrush)
     if len(scene.hull_mm):
         painter.setPen(QPen(t.colour("good" if scene.margin_mm >= 0 else "bad"), 2))
@@ -114,8 +118,9 @@ def draw_face(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Them
 def _points(
     painter: QPainter, area: PlotArea, points: FloatArray, colour: QColor, size: float
 ) -> None:
+    """Draw squares: round points take seven times as long."""
     pen = QPen(colour, size)
-    pen.setCapStyle(Qt.PenCapStyle.RoundCap)
+    pen.setCapStyle(Qt.PenCapStyle.SquareCap)
     painter.setPen(pen)
     painter.drawPoints(area.polygon(points[:, 0], points[:, 1]))
 

@@ -249,6 +249,14 @@ class RigHost:
             with self._lock:
                 self._core.limits = Limits(**message["limits"])
 
+    def abandon(self) -> None:
+        """Stop here and now, on the thread that noticed that the backend is gone, and leave."""
+        try:
+            self.devices.arm.stop()
+            self.devices.gripper.stop()
+        finally:
+            self.leave()
+
     def leave(self) -> None:
         """Take note that the backend is gone: the next round ends all motion and the process."""
         self._gone = True

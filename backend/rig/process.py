@@ -2,7 +2,7 @@
 
 The first message names settings, limits, clock and shared memory; the answer says who runs or what
 is refused. From then on a round every 4 ms, at real-time priority where the user may have it. A
-pipe that closes, a parent that is gone or SIGTERM end all motion, then the process. No Qt, no
+pipe that closes, a parent that is dying or SIGTERM end all motion, then the process. No Qt, no
 torch, no OpenCV.
 """
 
@@ -31,6 +31,7 @@ from backend.rig.channel import Channel
 from backend.rig.host import Devices, RigHost
 from backend.rig.memory import SharedMemory, attach
 from backend.rig.messages import Message, error_row, pack, receive
+from backend.rig.parent import Parent
 
 ROUND_S = 0.004
 END_S = 0.03
@@ -99,8 +100,9 @@ def _serve(
 
     # Before there are threads: all of them inherit it, or one without it would hold up the others.
     realtime = prefer(priority)
+    parent = Parent()
     host = RigHost(devices, Limits(**begin["limits"]), now_s, memory, say)
-    channel = Channel(*pipes, host.take, host.leave)
+    channel = Channel(*pipes, host.take, host.abandon)
 
     def terminate(number: int, frame: FrameType | None) -> None:
         host.leave()
@@ -112,7 +114,7 @@ def _serve(
     gc.collect()
     gc.freeze()
     try:
-        _keep_time(host, os.getppid())
+        _keep_time(host, parent)
     finally:
         _end(devices)
     return 0
@@ -130,13 +132,13 @@ def _hello(devices: Devices, *, realtime: bool) -> Message:
     }
 
 
-def _keep_time(host: RigHost, parent: int) -> None:
+def _keep_time(host: RigHost, parent: Parent) -> None:
     """Make a round every ``ROUND_S`` until one says that it is over; missed ones are skipped."""
     never = threading.Event()
     deadline_s = time.monotonic()
     while True:
-        if os.getppid() != parent:
-            host.leave()
+        if parent.gone():
+            host.abandon()
         if host.round():
             return
         deadline_s = max(deadline_s + ROUND_S, time.monotonic())

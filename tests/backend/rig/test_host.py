@@ -105,6 +105,17 @@ def test_without_a_backend_the_rig_stops_the_arm_and_wants_to_leave(rig):
     assert rig.arm.describe()["stream"] in ("ending", "idle")
 
 
+def test_who_notices_that_the_backend_is_gone_stops_the_arm_at_once_and_waits_for_no_round(rig):
+    rig.lift()
+    rig.rounds(0.05)
+    before = rig.arms.wires.stops
+    rig.host.abandon()
+    assert rig.arms.wires.stops == before + 1
+    assert rig.log == ["stop gripper"]
+    assert rig.arm.describe()["stream"] == "ending"
+    assert rig.rounds(0.004)
+
+
 def test_the_rig_refuses_what_is_past_the_limits_whoever_asks(rig):
     def move(z_mm, speed_mm_s=20.0):
         target = (0.0, 0.0, z_mm, 0.0, 0.0, 0.0)

@@ -35,6 +35,7 @@ from backend.devices.jog import Around
 from backend.devices.protocols import Device
 from backend.devices.supervision import Supervision
 from backend.objects.catalogue import Catalogue, Piece
+from backend.placement.below import Below
 from backend.rig.connection import Connection
 from backend.runs.bench import Bench
 from backend.runs.calibrated import Used, as_metadata, calibrations_for, payload_of
@@ -329,6 +330,7 @@ class Session:
         """Return the bench of a plan on ``scene``."""
         stage = scene.stage
         now_s = stage.clock.now_s
+        bottoms = [self.catalogue.bottom(name) for name in stage.bottom.split("+")]
         self.interlock.untested_release = self.simulated and method.strategy == "pick-and-place"
         self.interlock.renew_lease(now_s())
         return Bench(
@@ -353,6 +355,8 @@ class Session:
             scene_view=stage.scene_view,
             wrench_late_s=stage.wrench_late_s,
             calibrations=as_metadata(self._used),
+            sensor_height_mm=self.facts.sensor_height_mm,
+            below=Below.entered(stage.piece, bottoms, method.tower),
         )
 
     def _set_scene(self, choice: SceneChoice) -> _Scene:

@@ -18,6 +18,7 @@ from PySide6.QtWidgets import (
 )
 
 from widgets.icons import icon
+from widgets.number_inset import inset
 from widgets.panel import Panel, label
 from widgets.theme import Theme
 
@@ -26,6 +27,8 @@ STRATEGIES = (
     ("paper", "Probe and believe"),
     ("outlines", "Believe in outlines"),
     ("pressure", "Outlines and pressure"),
+    ("looking", "Look before moving"),
+    ("zero-wrench", "Release at zero wrench"),
     ("pick-and-place", "Pick and place"),
 )
 MODES = (
@@ -85,8 +88,7 @@ class RunPanel(Panel):
         for box in self._origin:
             box.setRange(-300.0, 300.0)
             box.setDecimals(2)
-        for number in (self._seed, self._trials, *self._origin):
-            number.lineEdit().setTextMargins(6, 0, 0, 0)
+        inset(self._seed, self._trials, *self._origin)
         for key, text in STRATEGIES:
             self._strategy.addItem(text, key)
         for key, text in MODES:

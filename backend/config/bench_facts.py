@@ -26,6 +26,8 @@ class BenchFacts(Settings):
     """Image scale of the left and the right finger."""
     ft_frame: str = ""
     """In which frame the wrench is given."""
+    sensor_height_mm: Positive | None = None
+    """Wrist sensor above the grasp pivot."""
 
 
 def simulated_facts(settings: SimulationSettings) -> BenchFacts:
@@ -35,6 +37,7 @@ def simulated_facts(settings: SimulationSettings) -> BenchFacts:
         sha256=digest(_kept(settings)),
         mm_per_px=settings.tactile.mm_per_px,
         ft_frame=wrist_frame(settings.wrist.height_mm, settings.wrist.yaw_rad),
+        sensor_height_mm=settings.wrist.height_mm,
     )
 
 

@@ -148,6 +148,7 @@ class Lab:
             sha256=digest(kept),
             mm_per_px=(scale, scale),
             ft_frame=wrist_frame(mounting.sensor_height_mm, mounting.sensor_yaw_rad),
+            sensor_height_mm=mounting.sensor_height_mm,
         )
 
 

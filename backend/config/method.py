@@ -23,9 +23,10 @@ TICK_S = 0.1
 """Distance of the ticks, 1 / 10 Hz [P]."""
 
 
-StrategyName = Literal["paper", "outlines", "pressure", "pick-and-place"]
+StrategyName = Literal["paper", "outlines", "pressure", "looking", "zero-wrench", "pick-and-place"]
 """How a trial goes from a probe to its next move: the paper's way, whole outlines in place of
-single cells, outlines that must hold the centre of pressure too, and letting go without a test."""
+single cells, outlines that must hold the centre of pressure too, the same looking for the press
+that decides most, letting go where the push turns nothing, and letting go without a test."""
 
 
 class Settings(BaseModel):
@@ -113,12 +114,37 @@ class OutlineSettings(Settings):
     """Share of a map's log odds that counts: neighbouring cells err together [U]."""
     pressure_sd_mm: Positive = 1.5
     """Error of the measured centre of pressure, that of the grasp included [U]."""
-    sensor_height_mm: Positive = 120.0
-    """Force sensor above the grasp pivot; turns lateral force into moment."""
     risk: Probability = 0.05
     """Release only where the piece would fall with less than this probability [U]."""
     inset_mm: NonNegative = 1.0
     """The centre of mass must lie this far within an outline to count as carried by it [U]."""
+
+
+class LookingSettings(Settings):
+    """What a press is worth before it is made."""
+
+    draws: Annotated[int, Field(ge=8)] = 128
+    """Outlines that are drawn from the belief."""
+    gain: NonNegative = 0.5
+    """Worth of one bit about standing, against the sure release there [U]."""
+    way: NonNegative = 0.2
+    """Cost of each longest step that is left to the target afterwards [U]."""
+
+
+class ZeroWrenchSettings(Settings):
+    """When the push turns nothing."""
+
+    release_mm: Positive = 1.0
+    """Release where the push acts within this of the centre of mass [U]."""
+
+
+class TowerSettings(Settings):
+    """What the operator enters of a tower below the touched bottom."""
+
+    offset_mm: tuple[tuple[float, float], ...] = ()
+    """Centre of each bottom above the lowest from that of the one below it; none: centred."""
+    sigma_mm: Positive = 2.5
+    """Standard uncertainty of each along x and along y; by default that of one put there by eye."""
 
 
 class ReleaseSettings(Settings):
@@ -197,6 +223,9 @@ class StackSettings(Settings):
     stability: StabilitySettings = StabilitySettings()
     policy: PolicySettings = PolicySettings()
     outlines: OutlineSettings = OutlineSettings()
+    looking: LookingSettings = LookingSettings()
+    zero_wrench: ZeroWrenchSettings = ZeroWrenchSettings()
+    tower: TowerSettings = TowerSettings()
     release: ReleaseSettings = ReleaseSettings()
     collect: CollectSettings = CollectSettings()
     strategy: StrategyName = "paper"

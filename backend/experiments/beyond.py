@@ -15,11 +15,17 @@ import numpy as np
 
 from backend.config.bench_facts import bench_sha256
 from backend.config.load import parse
-from backend.config.method import StackSettings, StrategyName
+from backend.config.method import StackSettings, StrategyName, TowerSettings
 from backend.config.simulation import SimulationSettings
 from backend.core.flow import Outcome
 from backend.experiments.ceiling import CeilingReasoner
-from backend.experiments.closed_loop import Model, pick_and_place_in_lockstep, stack_in_lockstep
+from backend.experiments.closed_loop import (
+    Model,
+    TrialEnd,
+    held_in,
+    pick_and_place_in_lockstep,
+    stack_in_lockstep,
+)
 from backend.experiments.given_models import load_model
 from backend.experiments.models import batch_model
 from backend.experiments.recipes import CELL_SEEDS, PIECES, STACKING_SEED
@@ -34,16 +40,25 @@ from backend.learning.training import one_thread
 from backend.objects.catalogue import load_catalogue
 from backend.objects.surface import face_points
 from backend.objects.tower import Tower, judge
+from backend.placement.below import Below
+from backend.placement.strategies import begin
 from backend.placement.strategy import XY, Reasoner
 from backend.sensing.episode import EpisodeLimits
 from backend.simulation.scene import Scene
 
-BOTTOMS = ("short", "long", "hex20", "rect12x28")
+SINGLE = ("short", "long", "hex20", "rect12x28")
 """The first two are those of the tables, with the same seeds."""
+TOWERS = ("short+long", "short+hex20", "short+rect12x28")
+"""Bottom-up; the first is that of the tables."""
+BOTTOMS = (*SINGLE, *TOWERS)
+TOWER_CELLS = 5
+"""Cells of towers come so many after those of the bottom that is touched."""
 CEILINGS = ("ceiling", "ceiling-diameter")
 """Knowing the bench and the outline; knowing the bench and that the bottom is round."""
 STRATEGIES: tuple[str, ...] = (*get_args(StrategyName), *CEILINGS)
 CHUNK = 2
+ENTRY = 992
+"""Draws the errors of entries, apart from those of the bench."""
 STEP_MM, SURE_MM = 3.0, 0.2
 """For the least number of probes: longest step, and how far inside the stable region to be."""
 Json = dict[str, Any]
@@ -60,6 +75,9 @@ class Beyond:
     bottoms: tuple[str, ...] = ("short", "long")
     strategies: tuple[str, ...] = ("paper", "outlines", "pressure", "ceiling")
     trials: int = 50
+    entry_sigma_mm: float | None = 1.0
+    """How well the simulated operator measures where the upper bottom stands; None: no entry, and
+    nobody thinks of the tower."""
     method: StackSettings = field(default_factory=StackSettings)
 
     def jobs(self) -> list[JobSpec]:
@@ -70,22 +88,32 @@ class Beyond:
             for piece in self.pieces
             for bottom in self.bottoms
             for strategy in self.strategies
+            if not (strategy in CEILINGS and bottom in TOWERS)
         ]
 
     def table(self, store: JobStore) -> Json:
         """Return the counts of all finished trials, by cell and pooled by strategy."""
         cells: dict[tuple[str, str, str], list[Json]] = {}
+        left_out: dict[tuple[str, str, str], int] = {}
         for spec in self.jobs():
             p = spec.params
-            trials = store.result(spec.id)["trials"] if store.has(spec.id) else []
-            cells.setdefault((p["strategy"], p["piece"], p["bottom"]), []).extend(trials)
+            answer = store.result(spec.id) if store.has(spec.id) else {"trials": []}
+            cell = p["strategy"], p["piece"], p["bottom"]
+            cells.setdefault(cell, []).extend(answer["trials"])
+            left_out[cell] = left_out.get(cell, 0) + answer.get("left_out", 0)
         return {
             "format": "touchdown-beyond/1",
             "bench_sha256": bench_sha256(self.bench),
             "code": self.code,
             "models": dict(self.models),
             "cells": [
-                {"strategy": s, "piece": piece, "bottom": bottom, **counted(trials)}
+                {
+                    "strategy": s,
+                    "piece": piece,
+                    "bottom": bottom,
+                    **counted(trials),
+                    "left_out": left_out[s, piece, bottom],
+                }
                 for (s, piece, bottom), trials in cells.items()
             ],
             "pooled": [
@@ -115,8 +143,9 @@ class Beyond:
 
     def _job(self, piece: str, bottom: str, strategy: str, first: int) -> JobSpec:
         source = "" if strategy in (*CEILINGS, "pick-and-place") else self.models[piece]
-        cell = 10 * PIECES.index(piece) + BOTTOMS.index(bottom)
-        params = {
+        touched = SINGLE.index(bottom.split("+")[-1])
+        cell = 10 * PIECES.index(piece) + touched + (TOWER_CELLS if bottom in TOWERS else 0)
+        params: Json = {
             "bench": self.bench.model_dump(mode="json"),
             "method": self.method.model_dump(mode="json"),
             "piece": piece,
@@ -124,6 +153,8 @@ class Beyond:
             "strategy": strategy,
             "trials": min(CHUNK, self.trials - first),
         }
+        if bottom in TOWERS:
+            params["entry_sigma_mm"] = self.entry_sigma_mm
         seed = STACKING_SEED + CELL_SEEDS * cell + first
         return JobSpec("beyond", params, seed, (source,) if source else (), self.code)
 
@@ -153,12 +184,15 @@ def beyond(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
     """Run some trials of one cell; every trial counts, whatever its outcome."""
     p, catalogue = spec.params, load_catalogue()
     bench = parse(SimulationSettings, p["bench"], "job")
-    case = Case.of(catalogue, p["piece"], (p["bottom"],), bench)
+    case = Case.of(catalogue, p["piece"], tuple(p["bottom"].split("+")), bench)
     one_thread()
     scenes = [scene for k in range(p["trials"]) if (scene := start_scene(case, spec.seed + k))]
     method, limits = parse(StackSettings, p["method"], "job"), EpisodeLimits()
     strategy = p["strategy"]
-    if strategy == "pick-and-place":
+    ends: list[TrialEnd] = []
+    if not scenes:
+        pass
+    elif strategy == "pick-and-place":
         ends = pick_and_place_in_lockstep(scenes, method, limits)
     elif strategy in CEILINGS:
         knowing = _knowing(case, diameter_known=strategy == CEILINGS[0])
@@ -166,9 +200,12 @@ def beyond(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
     else:
         model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
         chosen = StackSettings.model_validate({**p["method"], "strategy": strategy})
-        ends = stack_in_lockstep(scenes, model, chosen, limits)
+        sigma_mm = p.get("entry_sigma_mm")
+        begun = None if sigma_mm is None else _told(case, sigma_mm, chosen, model)
+        ends = stack_in_lockstep(scenes, model, chosen, limits, begun)
     return {
         "bench_sha256": bench_sha256(bench),
+        "left_out": p["trials"] - len(scenes),
         "trials": [
             {**end.as_json(), "least_probes": least_probes(scene)}
             for scene, end in zip(scenes, ends, strict=True)
@@ -190,6 +227,23 @@ def least_probes(scene: Scene) -> int:
         if judge(Tower((*scene.bottoms.bodies, body))).margin_mm >= SURE_MM:
             return 1 + ceil(way / STEP_MM)
     return 1 + ceil(length / STEP_MM)
+
+
+def _told(
+    case: Case, sigma_mm: float, settings: StackSettings, model: Model
+) -> Callable[[Scene, XY], Reasoner]:
+    """Begin trials on towers with what a simulated operator measured: truth and an error."""
+
+    def begun(scene: Scene, at: XY) -> Reasoner:
+        rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([scene.seed, ENTRY])))
+        steps = np.diff([body.at_mm for body in scene.bottoms.bodies], axis=0)
+        entered = steps + sigma_mm * rng.standard_normal(steps.shape)
+        offset_mm = tuple((float(x), float(y)) for x, y in entered)
+        entry = TowerSettings(offset_mm=offset_mm, sigma_mm=sigma_mm)
+        below = Below.entered(case.piece, case.bottoms, entry)
+        return begin(held_in(scene, model.base_rate, below), settings, at)
+
+    return begun
 
 
 def _knowing(case: Case, *, diameter_known: bool) -> Callable[[Scene, XY], Reasoner]:

@@ -57,8 +57,7 @@ class CeilingReasoner:
         here = touched.offset_mm
         self._assimilate(touched)
         self._probes += 1
-        margin = self.margins_mm(here)
-        at_risk = float(margin.mean() - RISK_SD * margin.std())
+        at_risk = self._at_risk_mm(here)
         shift = self.worlds.value[:, :TILT_X].mean(axis=0)
         stability = Stability(
             at_risk >= 0.0,
@@ -69,6 +68,14 @@ class CeilingReasoner:
             "belief",
         )
         return Conclusion(self._map(), stability, self._choose(stability, here, shift))
+
+    def stable_at(self, offset_mm: XY) -> bool:
+        """Whether the risk of letting go there is small."""
+        return self._at_risk_mm(offset_mm) >= 0.0
+
+    def _at_risk_mm(self, here: XY) -> float:
+        margin = self.margins_mm(here)
+        return float(margin.mean() - RISK_SD * margin.std())
 
     def margins_mm(self, here: XY) -> FloatArray:
         """Return (n,): by how much the piece would stand at the commanded place in each world."""

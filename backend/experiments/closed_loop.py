@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from backend.config.method import StackSettings
 from backend.core.flow import BeliefMap, ContactPatch, FloatArray, Outcome, PlaceAction, Stability
 from backend.objects.tower import Verdict, judge
+from backend.placement.below import Below
 from backend.placement.strategies import begin
 from backend.placement.strategy import Held, Reasoner, Touched
 from backend.sensing.episode import EpisodeLimits
@@ -125,7 +126,7 @@ def stack_in_lockstep(
     for number, (scene, at) in enumerate(zip(scenes, bench.start_commands_mm(), strict=True)):
         here = _pair(at)
         if reasoner is None:
-            held = Held(scene.piece.com_xy_mm, scene.grip_height_mm, model.base_rate)
+            held = held_in(scene, model.base_rate)
             trials.append(_Trial(number, scene, here, begin(held, settings, here)))
         else:
             trials.append(_Trial(number, scene, here, reasoner(scene, here)))
@@ -139,6 +140,12 @@ def stack_in_lockstep(
             patch = ContactPatch(model.points_mm.copy(), p)
             _conclude(active[k], Touched(felt.observation[k], patch, active[k].here), bench)
     return [trial.end for trial in trials if trial.end is not None]
+
+
+def held_in(scene: Scene, base_rate: float | None, below: Below | None = None) -> Held:
+    """Return what a strategy may know of the piece in the hand."""
+    height_mm, com = scene.settings.wrist.height_mm, scene.piece.com_xy_mm
+    return Held(com, scene.grip_height_mm, base_rate, height_mm, below)
 
 
 def pick_and_place_in_lockstep(

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from backend.core.flow import BeliefMap, FloatArray
 from backend.objects.shapes import Outline
+from backend.placement.below import Below
 from backend.placement.coverage import CellGrid
 from backend.placement.outline_family import family, inset_mm
 
@@ -69,14 +70,36 @@ class OutlineBelief:
         x, y = self.grid.to_mm(cell)
         return float(x), float(y)
 
-    def margin_mm(self, point: XY, risk: float) -> float:
-        """Return the inset of ``point`` that is not reached with probability ``risk``."""
-        inset = _insets(self.grid, point).ravel()
+    def margin_mm(self, point: XY, risk: float, below: Below | None = None) -> float:
+        """Return the inset of ``point`` that is not reached with probability ``risk``.
+
+        With a tower ``below``: the least one of all interfaces.
+        """
         weight = self.weight.ravel()
         kept = np.flatnonzero(weight > NEGLIGIBLE * weight.max())
-        order = kept[np.argsort(inset[kept])]
+        inset, weight = _insets(self.grid, point).ravel()[kept], weight[kept]
+        if below is not None:
+            cells = self.weight[0].size
+            lower = below.insets_mm(_relative(self.grid, point)).reshape(-1, cells)
+            inset = np.minimum(inset, lower[:, kept % cells]).ravel()
+            weight = np.tile(weight, len(lower))
+        order = np.argsort(inset)
         sums = np.cumsum(weight[order])
         return float(inset[order[int(np.searchsorted(sums, risk * sums[-1]))]])
+
+    def drawn(self, count: int) -> list[tuple[Outline, XY]]:
+        """Return ``count`` outlines with their centres, each as often as it is likely.
+
+        Evenly along the sum of the weights, outline by outline: the same ones every time.
+        """
+        sums = np.cumsum(self.weight.ravel())
+        marks = (np.arange(count) + 0.5) / count * sums[-1]
+        found = []
+        for place in np.minimum(np.searchsorted(sums, marks), len(sums) - 1):
+            k, i, j = np.unravel_index(int(place), self.weight.shape)
+            x, y = self.grid.to_mm(np.array([float(j), float(i)]))
+            found.append((family()[int(k)], (float(x), float(y))))
+        return found
 
     def likeliest_mm(self) -> FloatArray:
         """Return (n, 2) the corners of the likeliest outline, counter-clockwise."""
@@ -96,10 +119,15 @@ def pressed_within(grid: CellGrid, point: XY, sd_mm: float) -> FloatArray:
 
 def _insets(grid: CellGrid, point: XY) -> FloatArray:
     """Return (k, ny, nx): how far ``point`` lies within each outline at each cell."""
+    relative = _relative(grid, point)
+    return np.stack([inset_mm(outline, relative) for outline in family()])
+
+
+def _relative(grid: CellGrid, point: XY) -> FloatArray:
+    """Return (ny, nx, 2): ``point`` from the centre of each cell."""
     rows, columns = grid.shape
     centres = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
-    relative = np.asarray(point) - grid.to_mm(centres.astype(np.float64))
-    return np.stack([inset_mm(outline, relative) for outline in family()])
+    return np.asarray(point) - grid.to_mm(centres.astype(np.float64))
 
 
 def _correlated(cells: FloatArray, spectra: NDArray[np.complex128]) -> FloatArray:

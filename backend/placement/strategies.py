@@ -6,6 +6,7 @@ from backend.config.method import StackSettings
 from backend.core.faults import InputError
 from backend.placement.outlines import OutlineReasoner
 from backend.placement.strategy import XY, Held, PaperReasoner, Reasoner
+from backend.placement.zero_wrench import ZeroWrenchReasoner
 
 
 def begin(held: Held, settings: StackSettings, origin_mm: XY) -> Reasoner:
@@ -15,6 +16,14 @@ def begin(held: Held, settings: StackSettings, origin_mm: XY) -> Reasoner:
     """
     if settings.strategy == "paper":
         return PaperReasoner(held, settings, origin_mm)
+    if settings.strategy == "zero-wrench":
+        return ZeroWrenchReasoner(held, settings, origin_mm)
     if settings.strategy == "pick-and-place":
         raise InputError("This strategy does not probe.", "strategy", "Choose another one.")
-    return OutlineReasoner(held, settings, origin_mm, pressure=settings.strategy == "pressure")
+    return OutlineReasoner(
+        held,
+        settings,
+        origin_mm,
+        pressure=settings.strategy in ("pressure", "looking"),
+        looking=settings.strategy == "looking",
+    )

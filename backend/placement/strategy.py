@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backend.config.method import StackSettings
+from backend.core.faults import InputError
 from backend.core.flow import BeliefMap, ContactPatch, PlaceAction, Stability
 from backend.placement.belief import Belief
+from backend.placement.below import Below
 from backend.placement.policy import choose
 from backend.placement.stability import judge
 
@@ -27,11 +29,25 @@ class Held:
 
     ``com_xy_mm``: centre of mass in ``F``; ``grip_height_mm``: pivot above the face;
     ``base_rate``: share of contact in the training data of the model, None without a model.
+    ``sensor_height_mm``: wrist sensor above the pivot, as the bench tells; None if it does not.
+    ``below``: the tower under the touched surface as entered, None if nobody told of one.
     """
 
     com_xy_mm: XY
     grip_height_mm: float
     base_rate: float | None = None
+    sensor_height_mm: float | None = None
+    below: Below | None = None
+
+    def lever_mm(self) -> float:
+        """Return the height of the sensor above the face; raises ``InputError`` if nobody told."""
+        if self.sensor_height_mm is None:
+            raise InputError(
+                "This strategy needs the height of the wrist sensor above the grasp pivot.",
+                "mounting.sensor_height_mm",
+                "Tell it in the lab file, or choose another strategy.",
+            )
+        return self.grip_height_mm + self.sensor_height_mm
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +76,9 @@ class Reasoner(Protocol):
     def conclude(self, touched: Touched) -> Conclusion:
         """Take the next probe; return what follows."""
 
+    def stable_at(self, offset_mm: XY) -> bool:
+        """Whether all probes so far would have it released with the face at ``offset_mm``."""
+
 
 class PaperReasoner:
     """Ota et al.: independent cells, hull of the confident ones, step towards its middle."""
@@ -67,13 +86,21 @@ class PaperReasoner:
     def __init__(self, held: Held, settings: StackSettings, origin_mm: XY) -> None:
         self._held, self._settings = held, settings
         self._belief = Belief.unknown(settings.belief, origin_mm, held.base_rate)
+        self._patch: ContactPatch | None = None
 
     def conclude(self, touched: Touched) -> Conclusion:
         """Fuse, judge, choose."""
         settings, here = self._settings, touched.offset_mm
-        self._belief = self._belief.updated(touched.patch, here)
+        self._belief, self._patch = self._belief.updated(touched.patch, here), touched.patch
         stability = judge(
             self._belief, touched.patch, self._held.com_xy_mm, here, settings.stability
         )
         action = choose(stability, self._belief, here, settings.policy, settings.stability)
         return Conclusion(self._belief.map, stability, action)
+
+    def stable_at(self, offset_mm: XY) -> bool:
+        """Judge the map there; with ``judge_from`` "patch" the latest patch, as if felt there."""
+        if self._patch is None:
+            return False
+        com, rules = self._held.com_xy_mm, self._settings.stability
+        return judge(self._belief, self._patch, com, offset_mm, rules).stable

@@ -18,6 +18,7 @@ from backend.devices.guarded import GuardedArm, GuardedGripper
 from backend.devices.interlock import Interlock
 from backend.objects.catalogue import Piece
 from backend.objects.shapes import Outline
+from backend.placement.below import Below
 from backend.runs.gate import Gate
 from backend.sensing.board import Homography
 from backend.sensing.live import LiveSensing
@@ -105,7 +106,9 @@ class Bench:
     ``felt_count`` how many of its probes gave an estimate; ``hush`` keeps decisions undisturbed;
     ``outline`` of the surface that is touched; ``jig``: pose of ``G`` with the piece in its jig, or
     where the piece is ``handed`` over by the operator. ``wrench_late_s``: age of a wrench sample
-    when it comes. ``calibrations``: pairs that every episode keeps.
+    when it comes. ``calibrations``: pairs that every episode keeps. ``sensor_height_mm``: wrist
+    sensor above the grasp pivot, None where nobody told. ``below``: the tower under the touched
+    surface as it was entered, None for a single bottom.
     """
 
     now_s: Callable[[], float]
@@ -130,3 +133,5 @@ class Bench:
     handed: bool = False
     wrench_late_s: float = 0.0
     calibrations: tuple[tuple[str, str], ...] = ()
+    sensor_height_mm: float | None = None
+    below: Below | None = None

@@ -69,7 +69,13 @@ def held_by(bench: Bench) -> Held:
     """Return what a strategy may know of the piece in the hand."""
     piece = bench.piece
     assert piece.grip_height_mm is not None
-    return Held(piece.com_xy_mm, piece.grip_height_mm, bench.estimator.base_rate)
+    return Held(
+        piece.com_xy_mm,
+        piece.grip_height_mm,
+        bench.estimator.base_rate,
+        bench.sensor_height_mm,
+        bench.below,
+    )
 
 
 def _conclude(bench: Bench, felt: Felt, reasoner: Reasoner) -> Plan[Judged]:

@@ -21,7 +21,7 @@ from backend.placement.strategy import Conclusion, Held, Touched
 
 FACE = face_points(circle(15.0))
 SMALL = BeliefSettings(half_extent_mm=16.0)
-HELD = Held((0.0, 0.0), 30.0)
+HELD = Held((0.0, 0.0), 30.0, sensor_height_mm=120.0)
 SETTINGS = StackSettings(belief=SMALL, strategy="pressure")
 
 

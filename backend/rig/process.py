@@ -32,6 +32,7 @@ from backend.rig.host import Devices, RigHost
 from backend.rig.memory import SharedMemory, attach
 from backend.rig.messages import Message, error_row, pack, receive
 from backend.rig.parent import Parent
+from backend.rig.resident import lock_memory
 
 ROUND_S = 0.004
 END_S = 0.03
@@ -108,7 +109,9 @@ def _serve(
         host.leave()
 
     signal.signal(signal.SIGTERM, terminate)
-    channel.say(_hello(devices, realtime=realtime))
+    # Last: what was made so far is what the loop needs.
+    locked = priority > 0 and lock_memory()
+    channel.say(_hello(devices, realtime=realtime, locked=locked))
     channel.start()
     # What was made so far stays: no look of the collector has to go through it.
     gc.collect()
@@ -120,7 +123,7 @@ def _serve(
     return 0
 
 
-def _hello(devices: Devices, *, realtime: bool) -> Message:
+def _hello(devices: Devices, *, realtime: bool, locked: bool) -> Message:
     arm = devices.arm
     ranges = [list(pair) for pair in arm.joint_limits_rad] if arm.rotates else []
     return {
@@ -128,6 +131,7 @@ def _hello(devices: Devices, *, realtime: bool) -> Message:
         "pid": os.getpid(),
         "python": sys.version.split()[0],
         "realtime": realtime,
+        "locked": locked,
         "joint_ranges": ranges,
     }
 

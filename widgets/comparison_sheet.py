@@ -10,6 +10,7 @@ from PySide6.QtWidgets import QDialog, QHBoxLayout, QPushButton, QSpinBox, QVBox
 from backend.core.flow import Outcome
 from widgets.belief_scene import BeliefScene
 from widgets.belief_view import BeliefView
+from widgets.number_inset import inset
 from widgets.panel import Panel, label, set_property
 from widgets.score_panel import OutcomeMarks
 from widgets.theme import Theme
@@ -65,6 +66,7 @@ class ComparisonSheet(QDialog):
         self.panels = RivalPanel(theme), RivalPanel(theme)
         self.trial = QSpinBox()
         self.trial.setRange(1, 1)
+        inset(self.trial)
         self.trial.setAccessibleName("Trial")
         self.trial.setToolTip("The trial that is shown on both sides")
         self.trial.valueChanged.connect(choose)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from PySide6.QtWidgets import QDoubleSpinBox, QHBoxLayout, QPushButton
 
+from widgets.number_inset import inset
 from widgets.panel import Panel, label
 
 USUAL_N, LEAST_N, MOST_N = 10.0, 1.0, 40.0
@@ -22,7 +23,7 @@ class GripperPanel(Panel):
         self.force.setDecimals(1)
         self.force.setValue(USUAL_N)
         self.force.setSuffix(" N")
-        self.force.lineEdit().setTextMargins(6, 0, 0, 0)
+        inset(self.force)
         self.force.setAccessibleName("Grip force per finger")
         self.force.setToolTip("Force per finger for the next grip")
         self.grip, self.open = QPushButton("Grip"), QPushButton("Open")

@@ -16,6 +16,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from widgets.number_inset import inset
 from widgets.panel import label
 
 
@@ -96,7 +97,7 @@ class JogPace(QWidget):
 
     def _wire_speed(self) -> None:
         self.speed.setDecimals(0)
-        self.speed.lineEdit().setTextMargins(6, 0, 0, 0)
+        inset(self.speed)
         for widget in (self.speed, self._slider):
             widget.setAccessibleName("Jog speed")
             widget.setToolTip("Near the surface and in contact it is 2 mm/s at most")

@@ -21,6 +21,7 @@ from PySide6.QtWidgets import (
 
 from widgets.icons import icon
 from widgets.name_field import NameField
+from widgets.number_inset import inset
 from widgets.panel import Panel, label, rule
 from widgets.theme import Theme
 
@@ -121,6 +122,7 @@ class TargetPanel(Panel):
         self.show_form(TargetForm())
         self.show_residual("Origin not checked yet.", usable=False)
         self.show_buttons(TargetButtons(start=False, pause=False, end=False, paused=False))
+        self.show_progress(0, 0, "")
 
     def _limits(self) -> None:
         self.within.setRange(0.0, WIDEST_MM)
@@ -134,13 +136,11 @@ class TargetPanel(Panel):
             spin.setRange(-100.0, 100.0)
             spin.setDecimals(2)
             spin.setSingleStep(0.1)
-        for number in (self.within, self.count, self.per_grip, self.seed, *self.origin):
-            number.lineEdit().setTextMargins(6, 0, 0, 0)
+        inset(self.within, self.count, self.per_grip, self.seed, *self.origin)
         for key, text in PATTERNS:
             self.pattern.addItem(text, key)
         self.bar.setTextVisible(True)
         self.bar.setFormat("%v of %m")
-        self.bar.setRange(0, 1)
         self.start.setProperty("role", "primary")
         self.person.setMaxLength(64)
 
@@ -312,7 +312,9 @@ class TargetPanel(Panel):
         """Show how far the campaign is; ``eta`` in words."""
         self.bar.setRange(0, max(total, 1))
         self.bar.setValue(min(done, total))
+        self.bar.setVisible(total > 0)
         self.eta.setText(eta)
+        self.eta.setVisible(bool(eta))
 
     def show_residual(self, text: str, *, usable: bool) -> None:
         """Show what the last check of the origin found."""

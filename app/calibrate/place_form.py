@@ -15,6 +15,7 @@ from PySide6.QtWidgets import (
 
 from backend.calibration.kinds import What
 from backend.runs.requests import CalibrateRequest
+from widgets.number_inset import inset
 from widgets.panel import label
 
 REACH_MM = 200.0
@@ -40,6 +41,7 @@ class PlaceForm(QWidget):
         for spin in (self.x_mm, self.y_mm, self.pitch_mm):
             spin.setDecimals(2)
             spin.setSuffix(" mm")
+            inset(spin)
         self.hand_over = QCheckBox("Hand the piece over (no jig)")
         first, second = QHBoxLayout(), QHBoxLayout()
         for row, text, field in (

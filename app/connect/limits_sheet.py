@@ -16,6 +16,7 @@ from PySide6.QtWidgets import (
 )
 
 from app.connect.question import QuestionRow
+from widgets.number_inset import inset
 from widgets.panel import label, rule
 
 WIDEST = 2000.0
@@ -103,7 +104,7 @@ class LimitsSheet(QDialog):
             box.setSuffix(f" {row.unit}")
             box.setAccessibleName(row.title)
             box.setKeyboardTracking(False)
-            box.lineEdit().setTextMargins(6, 0, 0, 0)
+            inset(box)
             box.setMinimumWidth(8 * self.fontMetrics().height())
             title = label(row.title, "muted")
             title.setBuddy(box)

@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 from backend.config.hardware import MelfaSettings
 from backend.core.faults import Fault, FaultError
-from backend.devices.melfa.claim import claim, let_go
+from backend.devices.melfa.claim import Claim
 from backend.devices.melfa.link_faults import link_fault
 from backend.devices.melfa.r3_client import R3Client, Ticket
 from backend.devices.melfa.realtime import prefer
@@ -47,7 +47,7 @@ class SocketWires:
         self._threads: list[threading.Thread] = []
         self._client = R3Client(1e-3 * settings.r3.reply_gap_ms)
         self._client.end(link_fault("The connection is closed."))
-        self._claim: int | None = None
+        self._claim: Claim | None = None
         self._commands: socket.socket | None = None
         self._lane: socket.socket | None = None
         self._stream: socket.socket | None = None
@@ -63,7 +63,7 @@ class SocketWires:
         """Connect both channels and start their owners; raises ``FaultError``."""
         self.close()
         host, r3 = self._settings.host, self._settings.r3
-        self._claim = claim(host, r3.port)
+        self._claim = Claim(host, r3.port)
         try:
             self._commands = _connected(host, r3.port)
             self._lane = _connected(host, r3.stop_port)
@@ -92,7 +92,7 @@ class SocketWires:
                 wire.close()
         self._commands = self._lane = self._stream = None
         if self._claim is not None:
-            let_go(self._claim)
+            self._claim.close()
             self._claim = None
 
     def _start(self, name: str, target: Callable[..., None], *args: object) -> None:

@@ -14,8 +14,7 @@ from pathlib import Path
 
 from backend.core.faults import Fault, FaultError
 from backend.core.locks import lock_file
-from backend.devices.melfa.link_faults import NOTHING_MOVED
-from backend.devices.streamed.motion import ARM
+from backend.devices.streamed.motion import ARM, NOTHING_MOVED
 
 PREFIX, SUFFIX = "touchdown-arm-", ".lock"
 TRIES, AGAIN_S = 5, 0.02

@@ -10,6 +10,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ from backend.simulation.mechanics import Carried, begin
 from backend.simulation.nuisance import Scope
 from backend.simulation.pressing import Pressed, noise_samples, press
 from backend.simulation.support import join_stands, stand_of
+from backend.simulation.timeline import Timeline
 from backend.simulation.wrench import wrist_wrench
 
 ATTEMPTS = 20
@@ -293,8 +295,24 @@ def draw_noise(
     return SensorNoise(phase_s, force_n, wrench, camera.draw_camera(settings.tactile, rng))
 
 
+class Course(Protocol):
+    """What ``observe`` reads of B presses; ``Pressed`` is one."""
+
+    @property
+    def timeline(self) -> Timeline:
+        """Wrench, strain and pad forces over time."""
+
+    @property
+    def ticks_s(self) -> FloatArray:
+        """(B, 20) instants of the model's input."""
+
+    @property
+    def air(self) -> FloatArray:
+        """(B, 14) values before the descent."""
+
+
 def observe(
-    pressed: Pressed,
+    pressed: Course,
     conditions: Conditions,
     settings: SimulationSettings,
     noise: Sequence[SensorNoise],
@@ -329,7 +347,7 @@ def _regrasped(carried: Carried) -> Carried:
     return carried.replaced(np.flatnonzero(slid), Carried.fresh(int(slid.sum())))
 
 
-def _mean_wrench(pressed: Pressed) -> FloatArray:
+def _mean_wrench(pressed: Course) -> FloatArray:
     """Return (n, 20, 6) mean over the 100 samples of 1 ms up to each tick, N and N·mm."""
     # Ten groups of ten samples; the mean of a group is the value at its centre.
     centre = -0.1 + 1e-3 * (10.0 * np.arange(10) + 5.5)

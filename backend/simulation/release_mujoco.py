@@ -58,7 +58,7 @@ def simulate_release(
     per body the centre of its lower face (m; z = 0 where the topmost body rests) and quaternion.
     Raises ``InputError`` if the optional package is missing.
     """
-    mujoco = _mujoco()
+    mujoco = engine()
     model = mujoco.MjModel.from_xml_string(model_xml(_kicked(tower, disturbance_mm)))
     data = mujoco.MjData(model)
     rest_m = _heights_mm(tower)[-1] * 1e-3
@@ -90,13 +90,14 @@ def differs(verdict: Verdict, fallen: bool) -> bool:
 def available() -> bool:
     """Return whether the optional package is installed."""
     try:
-        _mujoco()
+        engine()
     except InputError:
         return False
     return True
 
 
-def _mujoco() -> Any:
+def engine() -> Any:
+    """Return the optional package; raises ``InputError`` if it is missing."""
     try:
         return import_module("mujoco")
     except ImportError as error:
@@ -142,48 +143,52 @@ def model_xml(tower: Tower) -> str:
 
 
 def _body_xml(body: Body, tag: str, height_mm: float, meshes: list[str]) -> str:
-    at = _metres(*body.at_mm, height_mm)
+    at = metres(*body.at_mm, height_mm)
     quat = f"{cos(body.yaw_rad / 2)!r} 0 0 {sin(body.yaw_rad / 2)!r}"
     parts = [_rim_xml(body.lower, SPHERE_RADIUS_MM)]
     if body.upper is None or body.upper == body.lower:
-        parts.append(_shape_xml(body.lower, 0.0, body.height_mm, tag, meshes))
+        parts.append(shape_xml(body.lower, 0.0, body.height_mm, tag, meshes))
     else:
         half = body.height_mm / 2
-        parts.append(_shape_xml(body.lower, 0.0, half, f"{tag}l", meshes))
-        parts.append(_shape_xml(body.upper, half, body.height_mm, f"{tag}u", meshes))
+        parts.append(shape_xml(body.lower, 0.0, half, f"{tag}l", meshes))
+        parts.append(shape_xml(body.upper, half, body.height_mm, f"{tag}u", meshes))
     # An end that carries nothing has spheres too: without them a fallen body sinks into the floor.
     parts.append(_rim_xml(body.upper or body.lower, body.height_mm - SPHERE_RADIUS_MM))
-    free = "" if body.fixed else f"<freejoint/>{_inertia_xml(body)}"
+    free = "" if body.fixed else f"<freejoint/>{inertia_xml(body)}"
     return f'<body pos="{at}" quat="{quat}">{free}{"".join(parts)}</body>'
 
 
-def _metres(*lengths_mm: float) -> str:
+def metres(*lengths_mm: float) -> str:
+    """Write lengths in SI units, with a space between."""
     return " ".join(repr(float(length) * 1e-3) for length in lengths_mm)
 
 
-def _inertia_xml(body: Body) -> str:
+def inertia_xml(body: Body) -> str:
     """Give the inertia of a solid block, or cylinder, of the lower outline's size."""
     mass = body.mass_g * 1e-3
     x, y = (extent * 1e-3 for extent in body.lower.half_extents_mm)
     share = 1 / 4 if body.lower.kind == "circle" else 1 / 3
     height2 = (body.height_mm * 1e-3) ** 2 / 12
     ix, iy, iz = share * y**2 + height2, share * x**2 + height2, share * (x**2 + y**2)
-    at = _metres(*body.com_xy_mm, body.com_height_mm)
+    at = metres(*body.com_xy_mm, body.com_height_mm)
     moments = " ".join(repr(mass * value) for value in (ix, iy, iz))
     return f'<inertial pos="{at}" mass="{mass!r}" diaginertia="{moments}"/>'
 
 
-def _shape_xml(outline: Outline, low_mm: float, high_mm: float, tag: str, meshes: list[str]) -> str:
-    """Write the body between two heights as cylinder, box, or prism mesh."""
+def shape_xml(outline: Outline, low_mm: float, high_mm: float, tag: str, meshes: list[str]) -> str:
+    """Write the body between two heights as cylinder, box, or prism mesh.
+
+    A prism is added to ``meshes`` under the name ``tag``.
+    """
     middle, half = (low_mm + high_mm) / 2, (high_mm - low_mm) / 2
     if outline.kind == "circle":
-        size = _metres(outline.radius_mm, half)
-        return f'<geom type="cylinder" pos="{_metres(0, 0, middle)}" size="{size}"/>'
+        size = metres(outline.radius_mm, half)
+        return f'<geom type="cylinder" pos="{metres(0, 0, middle)}" size="{size}"/>'
     x, y = outline.half_extents_mm
     if {(abs(a), abs(b)) for a, b in outline.vertices_mm} == {(x, y)}:
-        return f'<geom type="box" pos="{_metres(0, 0, middle)}" size="{_metres(x, y, half)}"/>'
+        return f'<geom type="box" pos="{metres(0, 0, middle)}" size="{metres(x, y, half)}"/>'
     corners = " ".join(
-        _metres(a, b, height) for height in (low_mm, high_mm) for a, b in outline.vertices_mm
+        metres(a, b, height) for height in (low_mm, high_mm) for a, b in outline.vertices_mm
     )
     meshes.append(f'<mesh name="{tag}" vertex="{corners}"/>')
     return f'<geom type="mesh" mesh="{tag}"/>'
@@ -192,7 +197,7 @@ def _shape_xml(outline: Outline, low_mm: float, high_mm: float, tag: str, meshes
 def _rim_xml(outline: Outline, height_mm: float) -> str:
     """Write the spheres along the outline."""
     return "".join(
-        f'<geom class="rim" pos="{_metres(x, y, height_mm)}"/>' for x, y in rim_points(outline)
+        f'<geom class="rim" pos="{metres(x, y, height_mm)}"/>' for x, y in rim_points(outline)
     )
 
 

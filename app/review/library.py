@@ -24,6 +24,7 @@ class Library:
         self.folder = folder
         self._dataset: Dataset | None = None
         self._models: Prelabeller | None = None
+        self._series: list[Series] = []
 
     @cached_property
     def catalogue(self) -> Catalogue:
@@ -31,10 +32,16 @@ class Library:
         return load_catalogue()
 
     def series(self) -> list[Series]:
-        """Return the series of the dataset, newest first; none where there is no dataset."""
+        """Return the series of the dataset, newest first; none where there is no dataset.
+
+        The very same list while nothing changed: nobody has to compare thousands of episodes.
+        """
         if self._dataset is None and not (self.folder / DESCRIPTION).is_file():
-            return []
-        return series_of(self._opened())
+            return self._series
+        found = series_of(self._opened())
+        if found != self._series:
+            self._series = found
+        return self._series
 
     def episode(self, uuid: str) -> StoredEpisode:
         """Read one episode; raises ``InputError`` naming a damaged file."""

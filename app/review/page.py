@@ -25,6 +25,7 @@ from widgets.film import Film
 from widgets.panel import Panel, label, rule
 from widgets.probe_strip import ProbeStrip
 from widgets.recorded_traces import RecordedTraces
+from widgets.recording_list import RecordingList
 from widgets.score_panel import ScorePanel
 from widgets.theme import Theme
 from widgets.time_line import TimeLine
@@ -44,6 +45,7 @@ FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
 class ReviewIntents:
     """What can be asked for on this page."""
 
+    choose_recording: Callable[[int], None]
     choose_probe: Callable[[int], None]
     seek: Callable[[float], None]
     play: Callable[[], None]
@@ -79,7 +81,8 @@ class ReviewPage(QWidget):
         self.setObjectName("frame")
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self._intents = intents
-        self.runs, self.trials = QuietList("Recorded runs"), QuietList("Trials of the run")
+        self.runs = RecordingList(theme, "Recorded runs", intents.choose_recording)
+        self.trials = QuietList("Trials of the run")
         self.story = QuietList("What happened")
         self.kind, self.order, self.filter = QComboBox(), QComboBox(), QLineEdit()
         self.refresh = QToolButton()
@@ -109,6 +112,10 @@ class ReviewPage(QWidget):
             self._intents.play()
         else:
             super().keyPressEvent(event)
+
+    def fit_to_theme(self) -> None:
+        """Take the row height of the theme."""
+        self.runs.fit_to_theme()
 
     def show_cursor(self, t_s: float) -> None:
         """Show all views at one instant."""

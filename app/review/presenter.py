@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from datetime import datetime
 from pathlib import Path
-
-from PySide6.QtCore import QTimer
-from PySide6.QtWidgets import QListWidgetItem
 
 from app.label.commits import Commits
 from app.review.collection import Collection, collection_of
@@ -16,8 +12,9 @@ from app.review.library import Library
 from app.review.page import ReviewPage
 from app.review.picture import episode_caption, trial_caption
 from app.review.recorded import Recorded, read_recorded
+from app.review.recordings import Recordings
 from app.review.replay import Replay
-from app.review.run_lines import activity_words, read_run_line
+from app.review.run_lines import activity_words
 from app.review.stored import Series, StoredEpisode
 from app.review.timed import TimedTrial, trials_of
 from app.run_story import RunStory, TrialStory
@@ -29,11 +26,8 @@ from widgets.decision_panel import DecisionText
 from widgets.fault_cards import CardText, FaultCards
 from widgets.score_panel import WORDS
 
-MOST_RUNS = 200
 MOST_MEASURED = 500
 """Rows of a longer list are all as high as its first: measuring 10,000 of them takes a second."""
-MOST_DESCRIBED = 50
-"""So many of the newest runs say in the list what they were; older ones once they are opened."""
 
 
 class ReviewPresenter:
@@ -42,13 +36,10 @@ class ReviewPresenter:
     def __init__(
         self, page: ReviewPage, runs: Path, cards: FaultCards, reader: Commits, library: Library
     ) -> None:
-        self._page, self._runs, self._cards = page, runs, cards
+        self._page, self._cards = page, cards
         self._reader, self.library = reader, library
         self.replay = Replay(page)
-        self._folders: list[Path] = []
-        self._items: list[QListWidgetItem] = []
-        """Runs, then series, newest first, however the list is sorted."""
-        self._series: list[Series] = []
+        self.recordings = Recordings(page, runs, reader, library.series, self._failed)
         self.story = RunStory()
         self.timed: list[TimedTrial] = []
         self._run: Path | None = None
@@ -62,118 +53,20 @@ class ReviewPresenter:
         self.caption = ""
         """Which run, pair, trial and seed, or which episode, is shown."""
         self._asked = 0
-        self._described: dict[Path, int] = {}
-        self._to_describe: list[int] = []
-        self._describing = QTimer(page)
-        self._describing.setInterval(0)
-        self._describing.timeout.connect(self._describe_next)
-        page.refresh.clicked.connect(self.refresh)
-        page.runs.currentRowChanged.connect(self._choose_row)
+        page.refresh.clicked.connect(self.recordings.refresh)
         page.trials.currentRowChanged.connect(self._choose_part)
         page.decision.show_text(DecisionText("No run chosen", "", "", "Choose a recording."))
 
     # -- the list ---------------------------------------------------------------------------------
 
-    def refresh(self) -> None:
-        """Look for recordings, newest runs first; what is chosen stays chosen."""
-        found = [p.parent for p in self._runs.glob(f"*/{NAME}")] if self._runs.is_dir() else []
-        found = sorted(found, key=lambda p: p.name, reverse=True)[:MOST_RUNS]
-        self._page.empty.setText("No recordings yet. Every run of the Stack workspace is kept.")
-        if found != self._folders:
-            self._folders = found
-            self._described.clear()
-            self._list()
-        self._page.empty.setVisible(not found and not self._series)
-        # One run per turn of the event loop: a long list does not hold up the live views.
-        self._to_describe = list(range(min(len(found), MOST_DESCRIBED)))
-        self._describing.start()
-        self._reader.submit(self.library.series, self._take_series, self._failed)
-
-    def filter(self) -> None:
-        """Show only recordings of the chosen kind whose line holds all words of the filter."""
-        words = self._page.filter.text().lower().split()
-        kind = self._page.kind.currentData()
-        for at, item in enumerate(self._items):
-            is_run = at < len(self._folders)
-            fits = kind == "all" or (kind == "runs") == is_run
-            item.setHidden(not (fits and all(word in item.text().lower() for word in words)))
-
-    def sort(self) -> None:
-        """Put the recordings in the chosen order; what is chosen stays chosen."""
-        runs, items = self._page.runs, self._items
-        order, chosen = self._page.order.currentData(), self._chosen()
-        texts = [item.text() for item in items]
-        found = list(range(len(items)))
-        if order == "pair":
-            found.sort(key=lambda at: texts[at].partition("\n")[2].removeprefix("series: "))
-        elif order != "kind":
-            found.sort(key=lambda at: texts[at], reverse=order == "newest")
-        if [runs.item(row) for row in range(runs.count())] != [items[at] for at in found]:
-            runs.blockSignals(True)
-            while runs.count():
-                runs.takeItem(0)
-            for at in found:
-                runs.addItem(items[at])
-            runs.setCurrentRow(-1 if chosen < 0 else found.index(chosen))
-            runs.blockSignals(False)
-        self.filter()
-
-    def _list(self) -> None:
-        titles = [run_title(folder.name) for folder in self._folders]
-        titles += [series.title for series in self._series]
-        self._page.runs.blockSignals(True)
-        self._page.runs.clear()
-        self._page.runs.blockSignals(False)
-        self._items = [QListWidgetItem(title) for title in titles]
-        self.sort()
-
-    def _take_series(self, series: list[Series]) -> None:
-        if series != self._series:
-            chosen = self._chosen()
-            self._series = series
-            self._described.clear()
-            self._list()
-            if 0 <= chosen < len(self._folders):
-                self._page.runs.blockSignals(True)
-                self._page.runs.setCurrentItem(self._items[chosen])
-                self._page.runs.blockSignals(False)
-            self._to_describe = list(range(min(len(self._folders), MOST_DESCRIBED)))
-            self._describing.start()
-            self._page.empty.setVisible(not self._folders and not series)
-
-    def _describe_next(self) -> None:
-        if self._to_describe:
-            self._describe(self._to_describe.pop(0))
+    def choose(self, at: int) -> None:
+        """Open the recording of this number."""
+        runs = self.recordings.folders
+        if at < len(runs):
+            self.recordings.describe(at)
+            self.open(runs[at])
         else:
-            self._describing.stop()
-            self.sort()
-
-    def _describe(self, at: int) -> None:
-        """Say what a run was; read again only if its journal has grown."""
-        item, folder = self._items[at], self._folders[at]
-        try:
-            size = (folder / NAME).stat().st_size
-            if self._described.get(folder) == size:
-                return
-            text = read_run_line(folder).text()
-        except (InputError, OSError):
-            size, text = -1, "cannot be read"
-        self._described[folder] = size
-        item.setText(f"{run_title(folder.name)}\n{text}")
-        item.setToolTip(text)
-
-    def _chosen(self) -> int:
-        """Return which item is chosen, -1 if none is."""
-        chosen = self._page.runs.currentItem()
-        return next((at for at, item in enumerate(self._items) if item is chosen), -1)
-
-    def _choose_row(self, _row: int) -> None:
-        at = self._chosen()
-        if 0 <= at < len(self._folders):
-            self._describe(at)
-            self.open(self._folders[at])
-        elif 0 <= at - len(self._folders) < len(self._series):
-            self._open_series(self._series[at - len(self._folders)])
+            self._open_series(self.recordings.series[at - len(runs)])
 
     # -- one recording ----------------------------------------------------------------------------
 
@@ -320,15 +213,6 @@ class ReviewPresenter:
             last = f"{head.piece} on {head.bottom}, {what}. {last}"
         trials = head.trials if head is not None and head.activity == "stack" else 0
         self._page.score.show_score(score_of(self.story.trials, trials, last))
-
-
-def run_title(name: str) -> str:
-    """Write a run's name as date and time where it is one."""
-    try:
-        when = datetime.strptime(name[:15], "%Y%m%d-%H%M%S")
-    except ValueError:
-        return name
-    return f"{when:%Y-%m-%d  %H:%M:%S} UTC"
 
 
 def _trial_title(trial: TrialStory) -> str:

@@ -29,7 +29,7 @@ class ReviewWorkspace(Workspace):
         self.exports = desk.runs.parent / "exports"
         self.commands = (
             Command("refresh", "Look for new recordings", "Ctrl+R",
-                    lambda: self.presenter.refresh()),
+                    lambda: self.presenter.recordings.refresh()),
             Command("play", "Play from the cursor, or pause (Space)", "", self._play),
             Command("back", "One sample back", "Left",
                     lambda: self.presenter.replay.step(-1), repeats=True),
@@ -61,7 +61,11 @@ class ReviewWorkspace(Workspace):
     def enter(self) -> None:
         """Look for recordings that came since."""
         self.page.setFocus()
-        self.presenter.refresh()
+        self.presenter.recordings.refresh()
+
+    def fit_to_theme(self) -> None:
+        """Take the row height of the theme."""
+        self.page.fit_to_theme()
 
     def leave(self) -> None:
         """Stop the film."""
@@ -79,11 +83,12 @@ class ReviewWorkspace(Workspace):
     def _intents(self) -> ReviewIntents:
         # The presenter is made after its page: each intent looks it up when it is wanted.
         return ReviewIntents(
+            choose_recording=lambda at: self.presenter.choose(at),
             choose_probe=lambda index: self.presenter.replay.choose_probe(index),
             seek=lambda t_s: self.presenter.replay.seek(t_s),
             play=self._play,
-            filter=lambda: self.presenter.filter(),
-            sort=lambda: self.presenter.sort(),
+            filter=lambda: self.presenter.recordings.show(),
+            sort=lambda: self.presenter.recordings.show(),
             picture=self._picture,
             table=self._table,
             report=self._report,

@@ -1,14 +1,17 @@
 """The list of recorded runs says what each of them was."""
 
 import pytest
+from PySide6.QtCore import Qt
 
-from app.review import presenter as review
+from app.review import recordings
 from app.review.page import QuietList
 from app.review.run_lines import read_run_line
 from backend.core.facts import PhaseEntered, RunFinished, RunStarted, TrialFinished
 from backend.core.flow import Outcome
 from backend.runs.journal import NAME, Journal
 from tests.app.stand_in import StandInBench
+from widgets.recording_list import RecordingList, RecordingRow
+from widgets.theme import Theme
 from widgets.wrapped_items import WrappedItems
 
 TIME = "2026-11-21  04:15:11 UTC"
@@ -29,6 +32,17 @@ def record(folder, outcomes, ending="finished", piece="pot", probes=1):
         bench.hub.publish(RunFinished(0.0, "run", ending, ""))
     journal.close()
     return folder
+
+
+def texts(main):
+    """Return the rows of the list as they are shown."""
+    return [row.text for row in main.workspaces["review"].page.runs.shown()]
+
+
+def described(main, qtbot):
+    """Wait until no line of a run is still being read."""
+    recordings = main.workspaces["review"].presenter.recordings
+    qtbot.waitUntil(lambda: not recordings.describing, timeout=60_000)
 
 
 @pytest.mark.parametrize(
@@ -68,13 +82,11 @@ def test_the_list_fills_in_newest_first_and_survives_damage(main, qtbot, tmp_pat
     (damaged / NAME).write_text(text)
     main.go("review")
     rows = main.workspaces["review"].page.runs
-    assert [rows.item(i).text() for i in range(2)] == [TIME, TIME]
-    qtbot.waitUntil(
-        lambda: not main.workspaces["review"].presenter._describing.isActive(), timeout=60_000
-    )
-    assert rows.item(0).text() == f"{TIME}\nbarrel on short: fell"
-    assert rows.item(1).text() == f"{TIME}\ncannot be read"
-    assert rows.item(0).toolTip() == "barrel on short: fell"
+    assert texts(main) == [TIME, TIME]
+    described(main, qtbot)
+    assert texts(main) == [f"{TIME}\nbarrel on short: fell", f"{TIME}\ncannot be read"]
+    tip = rows.model().index(0, 0).data(Qt.ItemDataRole.ToolTipRole)
+    assert tip == "barrel on short: fell"
 
 
 def test_recordings_are_sorted_and_the_chosen_one_stays(main, qtbot, tmp_path):
@@ -83,40 +95,45 @@ def test_recordings_are_sorted_and_the_chosen_one_stays(main, qtbot, tmp_path):
                piece=piece)  # fmt: skip
     main.go("review")
     page, presenter = main.workspaces["review"].page, main.workspaces["review"].presenter
-    qtbot.waitUntil(lambda: not presenter._describing.isActive(), timeout=60_000)
+    described(main, qtbot)
 
     def pieces():
-        items = [page.runs.item(row) for row in range(page.runs.count())]
-        return [item.text().partition("\n")[2].split()[0] for item in items]
+        return [text.partition("\n")[2].split()[0] for text in texts(main)]
 
     assert pieces() == ["mushroom", "barrel", "pot"]
-    page.runs.setCurrentRow(0)
+    page.runs.choose_row(0)
     assert presenter.story.head.piece == "mushroom"
     page.order.setCurrentIndex(page.order.findData("oldest"))
     assert pieces() == ["pot", "barrel", "mushroom"]
-    assert page.runs.currentRow() == 2
+    assert page.runs.currentIndex().row() == 2
     page.order.setCurrentIndex(page.order.findData("pair"))
     assert pieces() == ["barrel", "mushroom", "pot"]
-    page.runs.setCurrentRow(0)
+    page.runs.choose_row(0)
     assert presenter.story.head.piece == "barrel"
     page.filter.setText("pot")
     page.order.setCurrentIndex(page.order.findData("newest"))
-    assert [page.runs.item(row).isHidden() for row in range(3)] == [True, True, False]
+    assert pieces() == ["pot"]
+    assert not page.runs.selectedIndexes()
+    page.filter.clear()
+    assert [index.row() for index in page.runs.selectedIndexes()] == [1]
+    assert presenter.story.head.piece == "barrel"
+    record(tmp_path / "runs" / "20261121-041509-703", [Outcome.FELL], piece="pot")
+    presenter.recordings.refresh()
+    described(main, qtbot)
+    assert pieces() == ["pot", "mushroom", "barrel", "pot"]
+    assert [index.row() for index in page.runs.selectedIndexes()] == [2]
 
 
 def test_only_the_newest_are_described_until_one_is_opened(main, qtbot, tmp_path, monkeypatch):
-    monkeypatch.setattr(review, "MOST_DESCRIBED", 1)
+    monkeypatch.setattr(recordings, "MOST_DESCRIBED", 1)
     for number in (701, 702):
         record(tmp_path / "runs" / f"20261121-041511-{number}", [Outcome.PLACED])
     main.go("review")
-    qtbot.waitUntil(
-        lambda: not main.workspaces["review"].presenter._describing.isActive(), timeout=60_000
-    )
-    rows = main.workspaces["review"].page.runs
-    assert rows.item(0).text() == f"{TIME}\npot on short: placed"
-    assert rows.item(1).text() == TIME
-    rows.setCurrentRow(1)
-    assert rows.item(1).text() == f"{TIME}\npot on short: placed"
+    described(main, qtbot)
+    assert texts(main) == [f"{TIME}\npot on short: placed", TIME]
+    main.workspaces["review"].page.runs.choose_row(1)
+    described(main, qtbot)
+    assert texts(main) == [f"{TIME}\npot on short: placed"] * 2
 
 
 def test_a_run_that_went_on_is_described_again(main, qtbot, tmp_path):
@@ -124,15 +141,12 @@ def test_a_run_that_went_on_is_described_again(main, qtbot, tmp_path):
     whole = (run / NAME).read_bytes()
     lines = whole.splitlines(keepends=True)
     (run / NAME).write_bytes(b"".join(lines[:-2]))
-    rows = main.workspaces["review"].page.runs
     for content, text in ((None, "not finished"), (whole, "placed")):
         if content is not None:
             (run / NAME).write_bytes(content)
         main.go("review")
-        qtbot.waitUntil(
-            lambda: not main.workspaces["review"].presenter._describing.isActive(), timeout=60_000
-        )
-        assert rows.item(0).text() == f"{TIME}\npot on short: {text}"
+        described(main, qtbot)
+        assert texts(main) == [f"{TIME}\npot on short: {text}"]
 
 
 @pytest.mark.parametrize(
@@ -188,7 +202,7 @@ def test_only_a_device_fault_before_the_release_keeps_a_trial_out_of_the_rate(ma
     journal.close()
     main.go("review")
     page = main.workspaces["review"].page
-    page.runs.setCurrentRow(0)
+    page.runs.choose_row(0)
     words = page.score.words
     assert "1 of 4 placed" in words
     assert "25 % success, 95 % interval 5 to 70 %" in words
@@ -213,3 +227,37 @@ def test_a_series_of_10000_episodes_does_not_measure_each_of_its_rows(
     trials.doItemsLayout()
     assert 0 < len(measured) < most
     assert trials.count() == rows
+
+
+def test_a_long_list_paints_and_measures_only_what_is_in_sight(qapp, qtbot, monkeypatch):
+    """1,400 series are no dearer than ten: neither filter nor a new line touches each row."""
+    picked, painted, measured = [], [], []
+    view = RecordingList(Theme(), "Recorded runs", picked.append)
+    qtbot.addWidget(view)
+    painter = type(view.itemDelegate())
+
+    def spied(calls, known):
+        def call(self, *args):
+            calls.append(1)
+            return known(self, *args)
+
+        return call
+
+    monkeypatch.setattr(painter, "paint", spied(painted, painter.paint))
+    monkeypatch.setattr(painter, "sizeHint", spied(measured, painter.sizeHint))
+    view.resize(240, 300)
+    view.show()
+    view.take([RecordingRow(f"{k}", f"pot on circle15, {k % 7}") for k in range(1400)])
+    for order in (range(1400), range(0, 1400, 7), range(1399, -1, -1)):
+        view.show_order(order)
+        qapp.processEvents()
+    view.show_row(1399, RecordingRow("1399", "barrel"))
+    qapp.processEvents()
+    assert 3 < len(painted) < 80
+    assert 0 < len(measured) < 80
+    assert not picked
+    view.choose_row(3)
+    assert picked == [1396] == [view.current]
+    view.choose(5)
+    assert (picked, view.current) == ([1396], 5)
+    assert view.shown()[0].detail == "barrel"

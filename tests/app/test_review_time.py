@@ -89,7 +89,7 @@ class Review:
         QTest.keyClick(self.main.window.windowHandle(), key, modifiers)
 
     def choose(self, row):
-        self.page.runs.setCurrentRow(row)
+        self.page.runs.choose_row(row)
         self.settle()
         self.page.setFocus()
 
@@ -221,12 +221,10 @@ def test_the_list_is_filtered_by_words_and_kind(start, tmp_path):
         bench.tell_start(piece=piece)
         journal.close()
     review = start()
-    review._qtbot.waitUntil(lambda: not review.presenter._describing.isActive(), timeout=60_000)
+    review._qtbot.waitUntil(lambda: not review.presenter.recordings.describing, timeout=60_000)
 
     def seen():
-        rows = review.page.runs
-        return [rows.item(i).text().split("\n")[1].split()[0] for i in range(rows.count())
-                if not rows.item(i).isHidden()]  # fmt: skip
+        return [row.detail.split()[0] for row in review.page.runs.shown()]
 
     assert seen() == ["barrel", "pot"]
     review.press(KEY.Key_Slash)
@@ -245,8 +243,7 @@ def test_an_episode_of_the_dataset_is_shown_with_its_label(start, isolated_setti
         label = Label(4000, -2500, 0, 150)
         entry = dataset.record(make_episode(3), label, source="measured", context=context)
     review = start()
-    assert review.page.runs.count() == 1
-    assert "series: pot on circle15, 1 episode" in review.page.runs.item(0).text()
+    assert [r.detail for r in review.page.runs.shown()] == ["series: pot on circle15, 1 episode"]
     review.choose(0)
     review.settle()
     assert review.replay.recorded.missing == ()

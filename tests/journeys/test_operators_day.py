@@ -87,7 +87,7 @@ def test_an_operators_day(day, tmp_path):
     stack(day, pages["stack"])
     day.press(KEY.Key_5, CTRL)
     review = pages["review"]
-    review.page.runs.setCurrentRow(0)
+    review.page.runs.choose_row(0)
     assert review.presenter.story.outcomes == pages["stack"].presenter.story.outcomes
     assert main.cards.codes == ()
     day.press(KEY.Key_Q, CTRL)

@@ -114,7 +114,7 @@ def test_stack_look_back_and_review(desk, qtbot, tmp_path):
     assert np.linalg.norm(hull.mean(axis=0) - truth.mean(axis=0)) < 2.5
     # Every run is kept and can be looked at again.
     main.actions.action("review").trigger()
-    main.workspaces["review"].page.runs.setCurrentRow(0)
+    main.workspaces["review"].page.runs.choose_row(0)
     assert main.workspaces["review"].page.trials.count() == 1
     assert len(main.workspaces["review"].page.strip.thumbnails) == len(trial.probes)
     reviewed = main.workspaces["review"].presenter.story.trial.probes[-1]

@@ -40,7 +40,8 @@ def queue(
     - unlabelled: not yet accepted, oldest first, skipped ones last
     - review: submitted by others; returned: the person's own that a reviewer rejected
     - doubt, disagreement, duplicates, uncertainty: highest score first; a label that changed since
-      it was scored is left out of all but uncertainty
+      it was scored is left out of all but uncertainty, which looks at no label: it holds what is
+      not yet approved, for choosing what to label and train on
     - coverage: not yet approved, squares with the fewest approved labels first
     - conflicts: two labels since a merge; audit: a share drawn by ``seed``
     - gold: a share of the approved labels of others, to be answered blind, once each

@@ -1,4 +1,8 @@
-"""Figures of the queues that a model orders: do wrong labels come first, and are they badged?"""
+"""Figures of the queues that a model orders: do wrong labels come first, and are they badged?
+
+The queue of what the model is unsure of looks at no label: it is measured by how often the model
+itself is wrong there.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +21,11 @@ from backend.catalogue.dataset import Dataset
 from backend.catalogue.scores import SCORES
 from backend.catalogue.values import Label
 from backend.objects.catalogue import load_catalogue
+from backend.objects.surface import true_patch
 from backend.placement.ensemble import Ensemble
 from backend.placement.estimator import Estimator
 from backend.placement.label_scores import score_labels
-from backend.placement.offset_fit import NOTABLE_SIGMAS
+from backend.placement.offset_fit import NOTABLE_SIGMAS, OffsetGrid
 from tests.bench.registry import Figure, figure
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,6 +33,8 @@ BOTTOMS, EACH, SEED = "circle15,circle25,square15", 1000, 77
 WRONG_SHARE, WRONG_MM = 0.02, (1.0, 3.0)
 FIRST = 100
 NOT_FOR_ERRORS = {"audit": "random", "uncertainty": "looks at no label"}
+DRAWN, WORST = 300, 0.1
+"""So many random episodes tell how bad the worst tenth of the model's patches is."""
 Wrong = dict[str, Label]
 """What each wrong label says; all others are as commanded."""
 
@@ -60,7 +67,9 @@ def _measured(
         models = Ensemble([Estimator.load(shipped_model("pot"), load_catalogue().top("pot"))])
         count = score_labels(dataset, lambda _: models, lambda done, total: True)
         figures = _precision(dataset, set(wrong), count, kind)
-        return [*figures, *(_badges(dataset, wrong) if make is _moved else ())]
+        if make is _moved:
+            figures += [*_badges(dataset, wrong), *_unsure(dataset, models)]
+        return figures
 
 
 def _chosen(dataset: Dataset) -> list[int]:
@@ -106,6 +115,33 @@ def _precision(dataset: Dataset, wrong: set[str], count: int, kind: str) -> list
         name = f"queue {queue}, labels {kind} in the first {FIRST}"
         figures.append(Figure(name, 100 * share, "%", target, ok, note))
     return figures
+
+
+def _unsure(dataset: Dataset, models: Ensemble) -> list[Figure]:
+    """Return how often the model is wrong where it says that it is unsure; truth as simulated."""
+    grids = dict[str, OffsetGrid]()
+
+    def overlap(uuid: str) -> float:
+        episode, geometry = dataset.film(uuid).episode, dataset.entry(uuid).geometry
+        pair = dataset.geometry.pair(geometry)
+        if geometry not in grids:
+            grids[geometry] = OffsetGrid.of(pair.points_mm, pair.bottom)
+        felt = models.judge(episode, grids[geometry]).patch.probability > 0.5
+        x_mm, y_mm = episode.offset_mm.tolist()
+        true = true_patch(pair.points_mm, (x_mm, y_mm), pair.bottom) > 0
+        return float((felt & true).sum() / max((felt | true).sum(), 1))
+
+    uuids = [entry.uuid for entry in dataset.episodes()]
+    chosen = np.random.default_rng(SEED).choice(len(uuids), DRAWN, replace=False)
+    usual = np.array([overlap(uuids[k]) for k in chosen.tolist()])
+    first = dataset.queue("uncertainty", "zoe", limit=FIRST)
+    there = np.array([overlap(uuid) for uuid in first])
+    share = float((there < np.quantile(usual, WORST)).mean())
+    note = f"mean IoU {there.mean():.2f} there, {usual.mean():.2f} of {DRAWN} drawn"
+    return [
+        Figure(f"queue uncertainty, the model's worst tenth in the first {FIRST}", 100 * share,
+               "%", f"> {100 * WORST:.0f} (base rate)", share > WORST, note)
+    ]  # fmt: skip
 
 
 def _badges(dataset: Dataset, wrong: Wrong) -> list[Figure]:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
 from backend.core.faults import InputError
 
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Error numbers of a disk that is full, for everybody or for this user."""
 LEAST_BYTES = 1_000_000_000
 LEAST_EPISODES = 100
 GO_ON_BYTES = 500_000_000
-"""A campaign that has begun pauses below this: catalogue and journals still need room."""
+"""A run that has begun pauses below this: catalogue and journals still need room."""
 EPISODE_BYTES = 3_700_000
 """Size of an episode with JPEG pictures of real gels; simulated ones are smaller."""
 
@@ -35,9 +38,9 @@ def room_for(folder: Path, episodes: int, bytes_each: int = EPISODE_BYTES) -> Ro
     needed = max(LEAST_BYTES, LEAST_EPISODES * bytes_each)
     if free < needed:
         raise InputError(
-            f"Only {free / 1e9:.2f} GB are free; collecting needs {needed / 1e9:.2f} GB to start.",
+            f"Only {free / 1e9:.2f} GB are free; recording needs {needed / 1e9:.2f} GB to start.",
             str(place),
-            "Free some space, or name a dataset on another disk.",
+            "Free some space, or record on another disk.",
         )
     fit = free // max(1, bytes_each)
     return Room(free, fit, fit >= episodes)

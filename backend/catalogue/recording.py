@@ -5,7 +5,6 @@ A file without its row is adopted at the next start; a row without its file cann
 
 from __future__ import annotations
 
-import errno
 import sqlite3
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from backend.catalogue import episodes, heads, operations
+from backend.catalogue.diskspace import NO_ROOM
 from backend.catalogue.uuid7 import is_uuid7, uuid7
 from backend.catalogue.values import PROGRAM, Content, EpisodeContext, LabelState, Operation
 from backend.core.faults import Fault, FaultError
@@ -20,7 +20,6 @@ from backend.core.flow import Episode
 from backend.dataset.episode_file import write_episode
 from backend.dataset.pictures import KeepFrames
 
-NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 RAW = "raw"
 
 

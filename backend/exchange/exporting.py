@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 from backend.catalogue.dataset import Dataset
-from backend.catalogue.recording import NO_ROOM
+from backend.catalogue.diskspace import NO_ROOM
 from backend.core.faults import Fault, FaultError, InputError
 from backend.core.files import sync_folder, write_atomically
 from backend.exchange import low_dim, manifest

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backend.config.method import StackSettings
-from backend.core.faults import InputError
+from backend.core.faults import Fault, InputError
 from backend.core.flow import ContactPatch, Episode, Fall, ImageArray, Pose
 from backend.core.hush import Hush
 from backend.devices.guarded import GuardedArm, GuardedGripper
@@ -60,7 +60,13 @@ class EpisodeStore(Protocol):
         """Begin to write ``episode``."""
 
     def settle(self) -> Path | None:
-        """Wait for the last write; return the path of its file, None if files are not kept."""
+        """Wait for the last write; return the path of its file, None if files are not kept.
+
+        Raises ``FaultError`` where the disk refused; asked again it writes once more.
+        """
+
+    def obstacle(self) -> Fault | None:
+        """Return what keeps the run from recording another probe, None if nothing does."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,7 +40,7 @@ from backend.runs.motions import MOVE_S, lift, rest
 from backend.runs.origin_check import check_origin
 from backend.runs.plan import Checkpoint, Plan, Waiting, motion_done
 from backend.runs.probe import press_once, scene_pictures
-from backend.runs.room import FULL, refused_episode, room_awaited
+from backend.runs.room import FULL, no_room, refused_episode, room_awaited
 from backend.sensing.episode import EpisodeLimits
 
 OPERATOR_S = 24 * 3600.0
@@ -174,7 +174,9 @@ class Collector:
             yield from self._carry_out(bench)
             if not self.todo:
                 return
-            yield from room_awaited(self.recorder.dataset.folder)
+            yield from room_awaited(
+                lambda: no_room(self.recorder.dataset.folder) or bench.store.obstacle()
+            )
             item = self.todo[0]
             wanted = planned_mm(
                 self.campaign.pattern, target, self.campaign.seed, item,

@@ -64,6 +64,8 @@ class Engine:
         self._throw: TouchdownError | None = None
         self._result: object | None = None
         self._error: Exception | None = None
+        self._obstacle: Fault | None = None
+        """Why the last pause came by itself, None if it was asked for."""
         self._idle = threading.Event()
         self._idle.set()
 
@@ -140,11 +142,13 @@ class Engine:
     def run(self, plan: Plan[object], advance: Callable[[], None]) -> object:
         """Drive ``plan`` to its end on this thread; ``advance`` moves the bench by one step.
 
-        Returns the plan's value; raises what ended it if that was an error.
+        Returns the plan's value; raises what ended it if that was an error. A run that an obstacle
+        paused, and that nobody resumed when it was told, is cancelled: nobody else would.
         """
         self.begin(plan)
         while self.busy:
             self.tick()
+            self._end_if_left_paused()
             if self.busy:
                 advance()
         if self._error is not None:
@@ -152,6 +156,12 @@ class Engine:
         return self._result
 
     # -- inside ---------------------------------------------------------------------------------
+
+    def _end_if_left_paused(self) -> None:
+        with self._lock:
+            if self._status.state is RunState.PAUSED and self._obstacle is not None:
+                self._throw = CancelledError(f"nobody resumed it: {self._obstacle.what}")
+                self._status = replace(self._status, state=RunState.CANCELLING)
 
     def _may_go_on(self) -> bool:
         with self._lock:
@@ -201,6 +211,7 @@ class Engine:
             asked = self._status.state is RunState.PAUSING
             if not asked and (obstacle is None or self._status.state is not RunState.RUNNING):
                 return True
+            self._obstacle = obstacle
             text = "Paused" if obstacle is None else obstacle.what
             self._status = replace(self._status, state=RunState.PAUSED, text=text)
         if obstacle is not None:

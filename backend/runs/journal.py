@@ -26,6 +26,7 @@ class Journal:
         folder.mkdir(exist_ok=False)
         self.folder = folder
         self._file: IO[bytes] = (folder / NAME).open("xb")
+        self._durable_bytes = 0
         self._append({"format": FORMAT, "program": "touchdown"})
         sync_folder(folder)
         sync_folder(folder.parent)
@@ -39,15 +40,27 @@ class Journal:
         """Close the file; closing twice is allowed."""
         self._file.close()
 
+    def mend(self) -> None:
+        """Open the file anew after a failed write, without the part of a line it may have left.
+
+        Raises ``OSError`` where that fails too. What was synced before stays untouched.
+        """
+        self.abandon()
+        self._file = (self.folder / NAME).open("r+b")
+        self._file.truncate(self._durable_bytes)
+        self._file.seek(self._durable_bytes)
+
     def abandon(self) -> None:
         """Close after a failed write without writing again."""
         with suppress(OSError):
             self._file.close()
 
     def _append(self, line: dict[str, object]) -> None:
-        self._file.write(json.dumps(line, separators=(",", ":"), allow_nan=False).encode() + b"\n")
+        raw = json.dumps(line, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+        self._file.write(raw)
         self._file.flush()
         os.fsync(self._file.fileno())
+        self._durable_bytes += len(raw)
 
 
 def journal_path(run: Path) -> Path:

@@ -17,6 +17,7 @@ from backend.runs.bench import Bench
 from backend.runs.judged import Felt
 from backend.runs.motions import lift, zero_sensors
 from backend.runs.plan import Plan, Waiting
+from backend.runs.room import durable
 from backend.sensing.episode import assemble
 from backend.sensing.synchroniser import synchronise
 
@@ -140,7 +141,7 @@ def probe_until_accepted(bench: Bench, probe: int, tries: int = 2) -> Plan[Felt]
         yield Said(bench.now_s(), words.rejected(probe, felt.episode.quality.reasons))
         bench.store.keep(felt.episode)
         yield from lift(bench, probe)
-        bench.store.settle()
+        yield from durable(bench.store)
         if attempt + 1 == tries:
             raise FaultError(
                 Fault(

@@ -1,27 +1,56 @@
-"""A disk that fills up while a campaign goes on: it pauses before the next probe, then goes on."""
+"""A disk that fills up during a run: it pauses before the next probe, then goes on."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from backend.catalogue.diskspace import free_to_go_on
-from backend.core.faults import Fault
-from backend.runs.plan import Checkpoint, Plan
+from backend.core.faults import Fault, FaultError
+from backend.runs.bench import EpisodeStore
+from backend.runs.plan import CancelledError, Checkpoint, Plan, StoppedError
 
 FULL = "DISK-FULL"
-CONSEQUENCE = "The campaign is paused, the arm stands lifted; every probe so far is safe."
+CONSEQUENCE = "The run is paused, the arm stands lifted; every probe so far is safe."
 NEXT_STEP = "Make room on this disk, then resume (P)."
 
 
-def room_awaited(folder: Path) -> Plan[None]:
-    """Pause, as often as it is resumed, until there is room for more episodes in ``folder``."""
-    while (short_bytes := free_to_go_on(folder)) is not None:
-        what = f"Only {short_bytes / 1e9:.2f} GB are free on the disk of the dataset."
-        yield Checkpoint(Fault(FULL, what, CONSEQUENCE, NEXT_STEP))
+def room_awaited(obstacle: Callable[[], Fault | None]) -> Plan[None]:
+    """Pause, as often as it is resumed, until nothing keeps the run from recording any more."""
+    while (fault := obstacle()) is not None:
+        yield Checkpoint(fault)
+
+
+def no_room(folder: Path) -> Fault | None:
+    """Return what to say where too little is free to record another episode, else None."""
+    short_bytes = free_to_go_on(folder)
+    if short_bytes is None:
+        return None
+    what = f"Only {short_bytes / 1e9:.2f} GB are free on the disk of {folder}."
+    return Fault(FULL, what, CONSEQUENCE, NEXT_STEP)
 
 
 def refused_episode(fault: Fault) -> Fault:
     """Return what to say of a probe that is still held in memory, since the disk refused it."""
     return replace(fault, consequence=f"{CONSEQUENCE} The last one is kept in memory.",
                    next_step=NEXT_STEP)  # fmt: skip
+
+
+def durable(store: EpisodeStore) -> Plan[Path | None]:
+    """Return the file of the last episode; a full disk pauses the run until it is there.
+
+    Raises ``FaultError`` where the disk refused for another reason, and where the run ends while
+    it waits: what was held is then lost.
+    """
+    while True:
+        try:
+            return store.settle()
+        except FaultError as error:
+            if error.fault.code != FULL:
+                raise
+            refused = error
+        try:
+            yield Checkpoint(refused_episode(refused.fault))
+        except (CancelledError, StoppedError):
+            raise refused from None

@@ -26,6 +26,7 @@ from backend.runs.motions import lift, release, shift, take_piece
 from backend.runs.outcome import after_release
 from backend.runs.plan import Checkpoint, Plan, Waiting
 from backend.runs.probe import probe_until_accepted
+from backend.runs.room import durable, room_awaited
 
 OPERATOR_S = 24 * 3600.0
 
@@ -39,6 +40,7 @@ def stack(bench: Bench) -> Plan[Ending]:
     probe = 0
     while True:
         yield Checkpoint()
+        yield from room_awaited(bench.store.obstacle)
         probe += 1
         felt = yield from probe_until_accepted(bench, probe)
         judged = yield from _conclude(bench, felt, reasoner)
@@ -48,7 +50,7 @@ def stack(bench: Bench) -> Plan[Ending]:
         if judged.action.kind == "release" and approved and not late:
             return (yield from _let_go(bench, judged, approved=approved))
         yield from lift(bench, probe)
-        yield _recorded(bench, felt)
+        yield from _recorded(bench, felt)
         if late:
             yield Said(bench.now_s(), words.late(held_s))
             continue
@@ -103,12 +105,11 @@ def _let_go(bench: Bench, judged: Judged, *, approved: bool) -> Plan[Ending]:
     # What became of the piece is told first: a disk that refuses the episode must not hide it.
     ending = yield from after_release(bench, probe)
     try:
-        recorded = _recorded(bench, judged.felt)
+        yield from _recorded(bench, judged.felt)
     except FaultError as cause:
         bench.interlock.raise_fault(cause.fault)
         yield FaultRaised(bench.now_s(), cause.fault)
         return replace(ending, fault=cause.fault)
-    yield recorded
     return ending
 
 
@@ -122,8 +123,8 @@ def _asked(bench: Bench, judged: Judged) -> Plan[bool]:
     return bench.gate.yes
 
 
-def _recorded(bench: Bench, felt: Felt) -> EpisodeRecorded:
+def _recorded(bench: Bench, felt: Felt) -> Plan[None]:
     """Announce the episode without its native-rate signals: 25 MB that live in its file."""
-    path = bench.store.settle()
+    path = yield from durable(bench.store)
     episode = replace(felt.episode, recording=None)
-    return EpisodeRecorded(bench.now_s(), episode, felt.probe, "" if path is None else path.name)
+    yield EpisodeRecorded(bench.now_s(), episode, felt.probe, "" if path is None else path.name)

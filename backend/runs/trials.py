@@ -11,9 +11,10 @@ from backend.runs.ending import Ending
 from backend.runs.host import RunHost
 from backend.runs.orderly import RunEnding, orderly
 from backend.runs.outcome import finished
-from backend.runs.plan import Plan
+from backend.runs.plan import CancelledError, Plan
 from backend.runs.record import record_of
 from backend.runs.requests import StackRequest
+from backend.runs.room import room_awaited
 from backend.runs.stack import stack
 
 
@@ -45,6 +46,11 @@ def stack_run(host: RunHost, request: StackRequest) -> Plan[None]:
             reason = ending.reason if ending.fault is None else ending.fault.what
             yield RunFinished(bench.now_s(), host.run_id, run_ending, reason)
             return
+    try:
+        yield from room_awaited(bench.store.obstacle)
+    except CancelledError as cause:
+        yield RunFinished(bench.now_s(), host.run_id, "cancelled", str(cause))
+        return
     yield RunFinished(bench.now_s(), host.run_id, "finished", "All trials are done.")
 
 

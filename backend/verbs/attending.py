@@ -7,7 +7,8 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from backend.core.facts import Fact, HandOverAwaited, OutcomeAwaited, SetUpAwaited
+from backend.core.facts import Fact, HandOverAwaited, OutcomeAwaited, Paused, SetUpAwaited
+from backend.core.faults import Fault
 from backend.core.flow import Outcome
 from backend.runs.words import hand_over, outcome_question, scene_to_set
 from backend.verbs.screen import Screen
@@ -35,6 +36,18 @@ def attend(fact: Fact, session: Session, screen: Screen) -> None:
     elif isinstance(fact, OutcomeAwaited):
         screen.say(f"  {outcome_question(fact)} {HOW}")
         _on_a_thread(lambda line: _judge(line, fact, session, screen))
+    # Devices cannot be left alone until somebody answers: there the run ends.
+    elif isinstance(fact, Paused) and room_made(fact.fault, screen, "run", waits=session.simulated):
+        session.engine.resume()
+
+
+def room_made(fault: Fault, screen: Screen, what: str, *, waits: bool = True) -> bool:
+    """Say what paused ``what`` and wait for its operator; False where nobody can answer."""
+    screen.say(f"  {fault.what} {fault.consequence}")
+    if screen.json or not waits:
+        return False
+    screen.say(f"  Make room on this disk, then press Enter. Ctrl-D ends the {what}.")
+    return sys.stdin.readline() != ""
 
 
 def read_outcome(line: str, proposed: OutcomeAwaited) -> tuple[Outcome, str] | None:

@@ -27,6 +27,7 @@ from backend.core.faults import Fault, InputError
 from backend.runs.requests import CollectRequest
 from backend.runs.store import calibrations_folder, data_folder, dataset_folder
 from backend.runs.words import hand_over
+from backend.verbs.attending import room_made
 from backend.verbs.connecting import (
     add_lab_arguments,
     lab_bench,
@@ -176,12 +177,7 @@ class _Told:
 
     def _paused(self, fault: Fault) -> None:
         """Wait for the operator; where nobody can answer the campaign ends, to be resumed later."""
-        self._screen.say(f"  {fault.what} {fault.consequence}")
-        if not self._screen.json:
-            self._screen.say(
-                "  Make room on this disk, then press Enter. Ctrl-D ends the campaign."
-            )
-        if not self._screen.json and sys.stdin.readline():
+        if room_made(fault, self._screen, "campaign"):
             self._engine.resume()
         else:
             self.faults.append(fault.code)

@@ -295,7 +295,7 @@ def test_a_campaign_is_refused_with_the_figure_below_1_gb(tmp_path, monkeypatch)
     with collecting(tmp_path / "ds") as collected:
         usage = SimpleNamespace(free=900_000_000)
         monkeypatch.setattr(diskspace.shutil, "disk_usage", lambda _place: usage)
-        with pytest.raises(InputError, match=r"Only 0\.90 GB are free; collecting needs 1\.00 GB"):
+        with pytest.raises(InputError, match=r"Only 0\.90 GB are free; recording needs 1\.00 GB"):
             collected.run(count=2)
         assert collected.of(PhaseEntered) == []
         assert collected.entries == []

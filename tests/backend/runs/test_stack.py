@@ -296,20 +296,20 @@ def test_a_dying_bench_thread_latches_a_fault_and_ends_the_run() -> None:
 
 
 @pytest.mark.parametrize("after_facts", [0, 5, 20])
-def test_a_full_disk_stops_the_run_and_keeps_what_was_written(
+def test_a_disk_that_fails_stops_the_run_and_keeps_what_was_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after_facts: int
 ) -> None:
     bench = OracleSession(runs=tmp_path)
     plain = Journal._append
     written: list[int] = []
 
-    def full(journal: Journal, line: dict[str, object]) -> None:
+    def failing(journal: Journal, line: dict[str, object]) -> None:
         written.append(1)
         if len(written) > after_facts + 1:
-            raise OSError(errno.ENOSPC, "No space left on device")
+            raise OSError(errno.EIO, "Input/output error")
         plain(journal, line)
 
-    monkeypatch.setattr(Journal, "_append", full)
+    monkeypatch.setattr(Journal, "_append", failing)
     bench.session.run(request())
     folder = bench.session.run_folder
     bench.session.close()

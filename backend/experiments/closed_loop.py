@@ -116,12 +116,14 @@ def stack_in_lockstep(
     settings: StackSettings,
     limits: EpisodeLimits,
     reasoner: Callable[[Scene, XY], Reasoner] | None = None,
+    world: type[Lockstep] = Lockstep,
 ) -> list[TrialEnd]:
     """Run one trial per scene to its end; the scenes share piece, touched surface and bench.
 
     ``reasoner`` begins a trial of a scene at a commanded place; None: the strategy of the settings.
+    ``world``: in which to press.
     """
-    bench = Lockstep(scenes, settings.probe)
+    bench = world(scenes, settings.probe)
     trials = []
     for number, (scene, at) in enumerate(zip(scenes, bench.start_commands_mm(), strict=True)):
         here = _pair(at)

@@ -46,14 +46,17 @@ class Groups:
     left_out: int
 
 
-def probe_groups(case: Case, seeds: list[int], probes: int) -> Groups:
+def probe_groups(
+    case: Case, seeds: list[int], probes: int, world: type[Lockstep] = Lockstep
+) -> Groups:
     """Press ``probes`` times in each of the grippings named by ``seeds``.
 
     Half of the groups begin at a stable place. A press that is no observation is drawn again;
     a group that never gets all its probes (a grip that always slips) is left out and counted.
+    ``world``: in which to press.
     """
     scenes = [probing_scene(case, seed) for seed in seeds]
-    bench, limits = Lockstep(scenes), EpisodeLimits()
+    bench, limits = world(scenes), EpisodeLimits()
     points = face_points(case.piece.face)
     shape = (len(seeds), probes)
     offset, true = np.zeros((*shape, 2)), np.zeros((*shape, 2))

@@ -12,6 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from backend.assembly import Models
+from backend.calibration.applied import seen_by
 from backend.calibration.store import CalibrationStore
 from backend.config.lab import Lab, load_lab
 from backend.config.method import StackSettings
@@ -52,7 +53,7 @@ def lab_session(
 
     A model that fits the first piece is loaded now: later that would disturb the arm's stream.
     """
-    lab, catalogue = load_lab(choice.file), load_catalogue(choice.pieces)
+    lab, catalogue = _as_calibrated(load_lab(choice.file)), load_catalogue(choice.pieces)
     method = method or StackSettings()
     bench = _LabBench(lab, catalogue, method, registry)
     session = Session(
@@ -61,6 +62,15 @@ def lab_session(
     )  # fmt: skip
     bench.wire(session)
     return session
+
+
+def _as_calibrated(lab: Lab) -> Lab:
+    """Return the lab with its cameras as the calibration that holds found them to sit."""
+    kept = CalibrationStore(lab.calibrations, lab.settings.kind).standing("camera", {})
+    if kept.condition != "valid" or kept.record is None:
+        return lab
+    gelsight = seen_by(lab.settings.gelsight, kept.record)
+    return Lab(lab.path, lab.settings.model_copy(update={"gelsight": gelsight}))
 
 
 class _LabBench:

@@ -15,9 +15,11 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
+from backend.calibration.applied import placed_by
 from backend.calibration.store import CalibrationStore
 from backend.catalogue.dataset import Dataset
 from backend.config.bench_facts import BenchFacts
@@ -357,6 +359,7 @@ class Session:
             calibrations=as_metadata(self._used),
             sensor_height_mm=self.facts.sensor_height_mm,
             below=Below.entered(stage.piece, bottoms, method.tower),
+            placed=placed_by(self._used),
         )
 
     def _set_scene(self, choice: SceneChoice) -> _Scene:
@@ -382,9 +385,7 @@ class Session:
         def press_n() -> float:
             return sensing.press_n(now_s(), max_age_s=0.2)
 
-        def surface_mm() -> float:
-            return _surface_mm(stage.piece)
-
+        surface_mm = partial(_surface_mm, stage.piece)
         arm = GuardedArm(stage.arm, self.interlock, now_s, press_n, surface_mm)
         gripper = GuardedGripper(stage.gripper, self.interlock, now_s)
         around = Around(now_s, self._wall_s, press_n, surface_mm, lambda: self.engine.busy)

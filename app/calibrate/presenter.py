@@ -29,7 +29,7 @@ from backend.core.facts import (
 from backend.core.faults import InputError, RefusedError, StaleSampleError
 from backend.core.flow import FINGERS
 from backend.devices.protocols import Arm
-from backend.runs.calibrated import device_names
+from backend.runs.calibrated import device_names, keep
 from backend.runs.words import hand_over
 from widgets.fault_cards import CardText, FaultCards
 from widgets.freshness import Age
@@ -145,7 +145,7 @@ class CalibratePresenter:
         if found is None or store is None:
             return
         try:
-            path = store.accept(found, device_names(self._link.devices), self._person())
+            path = keep(store, found, self._link.devices, self._person())
         except RefusedError as error:
             self._cards.show_card(refusal_card(error, _clock()))
         except InputError as error:

@@ -28,7 +28,7 @@ STEPS: dict[What, tuple[str, ...]] = {
     "camera": (
         "Fix the bottom. The piece waits in its jig, or is handed over.",
         "The piece is pressed at the rim on four sides: it leans, the dots follow.",
-        "If fingers or mirrors are set wrongly, correct the settings and repeat.",
+        "Exchanged fingers and mirrored pictures are put right from the next start on.",
     ),
 }
 
@@ -59,6 +59,9 @@ NAMES = {
     "yaw_rad": "Yaw",
     "face_x_mm": "Face centre, x",
     "face_y_mm": "Face centre, y",
+    "exchanged": "Fingers exchanged",
+    "left_mirror": "Left mirror (x 1, y 2)",
+    "right_mirror": "Right mirror (x 1, y 2)",
     "left_u_mm_px": "Left camera, across",
     "left_v_mm_px": "Left camera, down",
     "right_u_mm_px": "Right camera, across",
@@ -68,6 +71,8 @@ NAMES = {
 
 def value_words(value: float, sigma: float, unit: str) -> str:
     """Write a value with as many digits as its uncertainty leaves, and a true minus."""
+    if not unit:
+        return f"{value:.0f}"
     digits = 4 if sigma < 0.01 else 3 if sigma < 0.1 else 2
     minus = "\N{MINUS SIGN}"
     shown = f"{value:.{digits}f}".replace("-", minus)

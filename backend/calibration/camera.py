@@ -14,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 
+from backend.calibration.applied import MIRRORS
 from backend.calibration.estimate import Estimate, Quantity, Solution, rms, solve
 from backend.core.faults import RefusedError
 from backend.core.flow import FINGERS, GRID_COLS, GRID_ROWS, MARKERS, Finger, FloatArray
@@ -27,6 +28,7 @@ WEAK_PX = 1.0
 EVEN_PX = 0.4
 EVEN_RAD = 0.001
 """Smaller differences between two presses do not tell fingers or turns apart."""
+AXES = {"x": "x", "y": "y", "both": "x and y"}
 Side = Literal["+x", "-x", "+y", "-y"]
 SIDES: tuple[Side, ...] = ("+x", "-x", "+y", "-y")
 _ROW, _COL = np.divmod(np.arange(MARKERS), GRID_COLS)
@@ -99,22 +101,26 @@ class Setting:
     exchanged: bool
     mirror: dict[Finger, str]
 
-    @property
-    def right(self) -> bool:
-        """Whether the cameras sit as the settings say."""
-        return not self.exchanged and all(m == "none" for m in self.mirror.values())
-
     def words(self) -> str:
-        """Return what to change, "" if nothing."""
-        said = []
-        if self.exchanged:
-            said.append("exchange gelsight.left.serial and gelsight.right.serial")
-        for finger, mirror in self.mirror.items():
+        """Return how they sit, and what follows from it."""
+        said = ["left and right are exchanged"] if self.exchanged else []
+        for finger in FINGERS:
+            mirror = self.mirror[finger]
             if mirror != "none":
-                said.append(f"mirror the picture of the {finger} finger in {mirror}")
+                said.append(f"the {finger} picture is mirrored in {AXES[mirror]}")
         if not said:
-            return ""
-        return f"The settings do not fit: {', '.join(said)}; then calibrate again."
+            return "Finger and mirroring fit the settings."
+        text = ", ".join(said)
+        return f"{text[0].upper()}{text[1:]}: put right from the next start on."
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """``exchanged`` (0, 1) and the mirror of each finger by its code in ``MIRRORS``."""
+        mirrors = (
+            Quantity(f"{finger}_mirror", float(MIRRORS.index(self.mirror[finger])), 0.0, "")
+            for finger in FINGERS
+        )
+        return (Quantity("exchanged", float(self.exchanged), 0.0, ""), *mirrors)
 
 
 def find_setting(pushes: Sequence[Push]) -> Setting:
@@ -148,14 +154,15 @@ def find_setting(pushes: Sequence[Push]) -> Setting:
 
 
 def estimate_cameras(pushes: Sequence[Push], pitch_mm: float) -> Estimate:
-    """Return mm/px of both cameras; an obstacle says what of finger or mirroring is wrong.
+    """Return how the cameras sit, and mm/px of both.
 
-    The residual is the larger rms distance of the dots from a straight lattice. Refused as
-    ``find_setting``.
+    ``exchanged`` and the mirrors are told against the settings in use. The residual is the larger
+    rms distance of the dots from a straight lattice. Refused as ``find_setting``.
     """
     setting = find_setting(pushes)
-    found, left_px = [], []
-    for index, finger in enumerate(FINGERS):
+    found, left_px = list(setting.quantities), []
+    order = tuple(reversed(FINGERS)) if setting.exchanged else FINGERS
+    for index, finger in enumerate(order):
         lattice = fit_lattice(np.mean([push.rest_px[index] for push in pushes], axis=0))
         left_px.append(lattice.residuals_px)
         for axis in lattice.scale_mm_px(pitch_mm):
@@ -165,8 +172,7 @@ def estimate_cameras(pushes: Sequence[Push], pitch_mm: float) -> Estimate:
         tuple(found),
         np.diag([q.sigma**2 for q in found]),
         np.concatenate(left_px), residual_px, LIMIT_PX, "px",
-        note="Finger and mirroring fit the settings." if setting.right else "",
-        obstacle=setting.words(),
+        note=setting.words(),
     )  # fmt: skip
 
 

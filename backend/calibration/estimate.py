@@ -47,8 +47,8 @@ class Estimate:
         read_only(self.covariance)
         read_only(self.residuals)
 
-    def told(self, t_s: float, what: str) -> CalibrationMeasured:
-        """Return it as a fact of calibration ``what``."""
+    def told(self, t_s: float, what: str, about: str = "") -> CalibrationMeasured:
+        """Return it as a fact of calibration ``what``; ``about``: which piece on which bottom."""
         return CalibrationMeasured(
             t_s,
             what,
@@ -62,6 +62,7 @@ class Estimate:
             unit=self.unit,
             note=self.note,
             obstacle=self.obstacle,
+            about=about,
         )
 
     @property

@@ -52,6 +52,8 @@ class CalibrationFile(Settings):
     date: datetime
     expires_days: Annotated[int, Field(ge=1)]
     devices: dict[str, DeviceName]
+    about: str = ""
+    """Which piece on which bottom, "" where neither matters."""
 
     @property
     def expires(self) -> datetime:
@@ -85,16 +87,22 @@ class Record:
 
     def text(self) -> str:
         """Return the text of its file."""
-        content = self.file.model_dump(mode="json")
-        return json.dumps({**content, "sha256": self.sha256}, indent=2, ensure_ascii=False) + "\n"
+        content = {**_content(self.file), "sha256": self.sha256}
+        return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
 
 
 def content_sha256(file: CalibrationFile) -> str:
     """Return the SHA-256 of the canonical JSON of ``file``."""
-    content = json.dumps(
-        file.model_dump(mode="json"), sort_keys=True, separators=(",", ":"), ensure_ascii=True
-    )
+    content = json.dumps(_content(file), sort_keys=True, separators=(",", ":"), ensure_ascii=True)
     return sha256(content.encode()).hexdigest()
+
+
+def _content(file: CalibrationFile) -> dict[str, object]:
+    """Return what is written and hashed; files from before ``about`` keep their hash."""
+    content = file.model_dump(mode="json")
+    if not file.about:
+        del content["about"]
+    return content
 
 
 def read_record(path: Path) -> Record:

@@ -84,6 +84,7 @@ class CalibrationStore:
             date=date,
             expires_days=kind.days,
             devices={name: devices[name] for name in kind.devices if name in devices},
+            about=measured.about,
         )
         record = Record.of(file)
         path = self.folder / f"{kind.what}-{date:%Y%m%d-%H%M%S}-{record.sha256[:8]}.json"

@@ -235,7 +235,8 @@ class CalibrationMeasured(Fact):
 
     ``values`` by ``names``, each with its standard uncertainty and unit; ``residual`` and its
     ``limit`` in ``unit``, ``residuals`` per measurement. ``obstacle``: what stands against it
-    whatever the residual, "" if nothing does; ``note``: what it leaves open.
+    whatever the residual, "" if nothing does; ``note``: what it leaves open. ``about``: which piece
+    on which bottom.
     """
 
     what: str
@@ -249,6 +250,7 @@ class CalibrationMeasured(Fact):
     unit: str
     note: str
     obstacle: str
+    about: str = ""
 
     @property
     def acceptable(self) -> bool:
@@ -278,6 +280,18 @@ class HandOverAwaited(Fact):
     piece: str
     gives: bool
     anew: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class MountingAwaited(Fact):
+    """A campaign that goes on waits to be told whether it still has the mounting that it had.
+
+    Yes: ``bottom``, or the gels, were fitted anew since ``mounting`` (1, 2, ...); no: all is as it
+    was then.
+    """
+
+    bottom: str
+    mounting: int
 
 
 @dataclass(frozen=True, slots=True)

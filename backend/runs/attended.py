@@ -9,12 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from backend.core.facts import OutcomeAwaited, SetUpAwaited
-from backend.core.flow import Outcome, Pose
+from backend.core.flow import Outcome
 from backend.objects.catalogue import Piece
 from backend.objects.starts import draw_start
 from backend.objects.tower import Tower
 from backend.runs import words
 from backend.runs.bench import Bench
+from backend.runs.descents import place_over
 from backend.runs.ending import Ending
 from backend.runs.host import RunHost
 from backend.runs.jig import approach, handed, pick
@@ -60,9 +61,10 @@ def set_up(bench: Bench, request: StackRequest, at_mm: tuple[float, float]) -> P
     bench = handed(bench)
     if not holds:
         yield from pick(bench)
-    height_mm = (bench.piece.grip_height_mm or 0.0) + bench.settings.probe.start_height_mm
-    x_mm, y_mm = (origin + start for origin, start in zip(request.origin_mm, at_mm, strict=True))
-    yield from approach(bench, Pose(x_mm, y_mm, height_mm))
+    sigma_mm = bench.settings.collect.origin_sigma_mm
+    centre = bench.placed.origin(request.origin_mm, sigma_mm, "+".join(request.bottoms))
+    there = (centre.x_mm + at_mm[0], centre.y_mm + at_mm[1])
+    yield from approach(bench, place_over(bench, there))
 
 
 def seen_outcome(bench: Bench, probe: int) -> Plan[Ending]:

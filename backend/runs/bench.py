@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from backend.calibration.applied import NOWHERE, Placed
 from backend.config.method import StackSettings
 from backend.core.faults import Fault, InputError
 from backend.core.flow import ContactPatch, Episode, Fall, ImageArray, Pose
@@ -141,3 +142,5 @@ class Bench:
     calibrations: tuple[tuple[str, str], ...] = ()
     sensor_height_mm: float | None = None
     below: Below | None = None
+    placed: Placed = NOWHERE
+    """What board and tool say of places."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from backend.calibration.applied import ON
 from backend.calibration.estimate import Estimate
 from backend.calibration.kinds import What
 from backend.core.facts import RunFinished, RunStarted
@@ -44,7 +45,8 @@ def calibrate_run(host: RunHost, request: CalibrateRequest) -> Plan[None]:
     bench = host.set_scene(choice, host.method)
     ended = yield from orderly(bench, _measured(bench, request))
     if ended.value is not None:
-        yield ended.value.told(bench.now_s(), request.what)
+        about = f"{request.piece}{ON}{request.bottom}" if request.what == "board" else ""
+        yield ended.value.told(bench.now_s(), request.what, about)
     ending = ended.run_ending or ("failed" if ended.value is None else "finished")
     reason = ended.reason or f"The {request.what} is measured."
     yield RunFinished(bench.now_s(), host.run_id, ending, reason)

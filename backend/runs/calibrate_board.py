@@ -13,8 +13,8 @@ from backend.core.facts import Progress
 from backend.core.faults import RefusedError
 from backend.core.flow import FloatArray
 from backend.objects.shapes import Outline
-from backend.objects.surface import overlap_polygon
 from backend.runs.bench import Bench
+from backend.runs.descents import middle_of_overlap
 from backend.runs.jig import pick, put_back
 from backend.runs.plan import Checkpoint, Plan
 from backend.runs.requests import CalibrateRequest
@@ -115,15 +115,6 @@ def _touches(bench: Bench, centre: FloatArray, start_mm: float) -> Plan[FloatArr
         middle = middle_of_overlap(bench.piece.face, bench.outline, off)
         found.append([*(centre + middle), height_mm])
     return np.array(found)
-
-
-def middle_of_overlap(face: Outline, bottom: Outline, offset_mm: FloatArray) -> FloatArray:
-    """Return the centroid (2,) of the overlap of ``face`` at ``offset_mm`` (2,) with ``bottom``."""
-    x_mm, y_mm = offset_mm.tolist()
-    ring = overlap_polygon(face, (x_mm, y_mm), bottom)
-    after = np.roll(ring, -1, axis=0)
-    cross = ring[:, 0] * after[:, 1] - after[:, 0] * ring[:, 1]
-    return np.asarray(((ring + after) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))
 
 
 def _progress(bench: Bench, done: int, text: str) -> Progress:

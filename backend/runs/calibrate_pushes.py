@@ -31,7 +31,9 @@ def measure_cameras(bench: Bench, request: CalibrateRequest) -> Plan[Estimate]:
 
 def _pushes(bench: Bench, request: CalibrateRequest) -> Plan[list[Push]]:
     yield from pick(bench)
-    origin = np.array(request.origin_mm)
+    sigma_mm = bench.settings.collect.origin_sigma_mm
+    centre = bench.placed.origin(request.origin_mm, sigma_mm, request.bottom)
+    origin = np.array([centre.x_mm, centre.y_mm])
     contact_mm = yield from find_height(bench, origin)
     start_mm = contact_mm + bench.settings.probe.start_height_mm
     out_mm = np.array(bench.outline.half_extents_mm) + OUT * np.array(

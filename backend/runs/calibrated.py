@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
 
+from backend.calibration.applied import MIRRORS, refuse_other_bottom
 from backend.calibration.kinds import What
 from backend.calibration.record import DeviceName, Record
 from backend.calibration.store import CalibrationStore
 from backend.config.bench_facts import BenchMode
+from backend.core.facts import CalibrationMeasured
 from backend.core.faults import RefusedError
-from backend.core.flow import FloatArray
+from backend.core.flow import FINGERS, Finger, FloatArray
 from backend.devices.protocols import Device
 from backend.runs.requests import CollectRequest, Request, StackRequest
 from backend.sensing.tare import gripper_payload
@@ -36,12 +40,17 @@ def calibrations_for(
     """Return the calibrations that a run uses.
 
     On hardware, stacking and collecting need all of them: raises ``RefusedError`` naming the first
-    that is missing, expired, damaged or of another device, with the fix. Elsewhere those that hold
-    are used.
+    that is missing, expired, damaged or of another device or bottom, with the fix. Elsewhere those
+    that hold are used.
     """
     required = mode == "hardware" and isinstance(request, StackRequest | CollectRequest)
     if store is not None:
-        return store.in_use(device_names(devices), required=required)
+        used = store.in_use(device_names(devices), required=required)
+        if required and isinstance(request, StackRequest):
+            refuse_other_bottom(used, "+".join(request.bottoms))
+        elif required and isinstance(request, CollectRequest):
+            refuse_other_bottom(used, request.bottom)
+        return used
     if required:
         raise RefusedError("CALIBRATION-MISSING", "This bench has no folder of calibrations.")
     return {}
@@ -58,6 +67,34 @@ def payload_of(store: CalibrationStore | None, devices: Mapping[str, Device]) ->
     # The height of the centre of mass makes no moment while the hand is level.
     centre_mm = (values["com_x_mm"].value, values["com_y_mm"].value, 0.0)
     return gripper_payload(values["mass_kg"].value, centre_mm)
+
+
+def keep(
+    store: CalibrationStore,
+    measured: CalibrationMeasured,
+    devices: Mapping[str, Device],
+    person: str = "",
+) -> Path:
+    """Accept what was measured with ``devices``; refused as ``CalibrationStore.accept``.
+
+    Of the cameras it keeps which serial number is at which finger and how each raw picture is to be
+    mirrored, whatever the settings were while it was measured.
+    """
+    names = device_names(devices)
+    if measured.what != "camera":
+        return store.accept(measured, names, person)
+    values = dict(zip(measured.names, measured.values, strict=True))
+    sources: dict[Finger, Finger] = {finger: finger for finger in FINGERS}
+    if values["exchanged"]:
+        sources = {"left": "right", "right": "left"}
+    sits: dict[str, float] = {"exchanged": 0.0}
+    for finger, source in sources.items():
+        now = str(devices[f"tactile_{source}"].describe().get("mirror", "none"))
+        turned = round(values[f"{finger}_mirror"]) ^ MIRRORS.index(now)
+        sits[f"{finger}_mirror"] = float(turned)
+    kept = tuple(sits.get(name, value) for name, value in values.items())
+    cameras = {f"tactile_{f}": names[f"tactile_{s}"] for f, s in sources.items()}
+    return store.accept(replace(measured, values=kept), {**names, **cameras}, person)
 
 
 def as_metadata(used: Used) -> tuple[tuple[str, str], ...]:

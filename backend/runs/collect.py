@@ -57,7 +57,7 @@ def _mountings(
     entries: list[EpisodeEntry],
     recorder: EpisodeRecorder,
 ) -> Plan[None]:
-    collector: Collector | None = None
+    collector, before = None, NEW
     while True:
         bench = host.set_scene(request.scene(campaign.mountings), host.method)
         target = Target(bench.piece.face, bench.outline, request.within_mm)
@@ -67,10 +67,24 @@ def _mountings(
             collector = Collector(campaign, recorder, host.decisions, seen, entries)
             collector.ask, collector.check_origin = request.ask, request.check_origin
             collector.hand_over = request.hand_over
-        campaign = collector.campaign = collector.campaign.with_mounting()
-        campaign.save(recorder.dataset.folder)
+            if campaign.mountings and _by_hand(request, bench):
+                going_on = mounting_to_go_on(bench, recorder.dataset, campaign)
+                said = yield from orderly(bench, going_on)
+                if said.value is None:
+                    ended: Ended[bool] = Ended(None, said.run_ending, said.reason)
+                    break
+                before = said.value
+                if before is not NEW:
+                    bench = host.set_scene(request.scene(campaign.mountings - 1), host.method)
+        else:
+            before = NEW
+        if before is NEW:
+            campaign = collector.campaign = collector.campaign.with_mounting()
+            campaign.save(recorder.dataset.folder)
+        collector.grips = before.grips
         origin = _origin(bench, request)
         context = _context(host, request, bench, origin, campaign, recorder.dataset)
+        context = replace(context, series=before.series or context.series)
         yield CampaignBegan(
             bench.now_s(), campaign.uuid, context.series, str(recorder.dataset.folder),
             collector.done, campaign.count,
@@ -131,7 +145,8 @@ def _origin(bench: Bench, request: CollectRequest) -> Origin:
     sigma_mm = request.origin_sigma_mm
     if sigma_mm is None:
         sigma_mm = bench.settings.collect.origin_sigma_mm
-    return Origin(*request.origin_mm, sigma_mm)
+    at = bench.placed.origin(request.origin_mm, sigma_mm, bench.bottom)
+    return Origin(at.x_mm, at.y_mm, at.sigma_mm)
 
 
 def _context(

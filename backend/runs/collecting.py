@@ -20,7 +20,7 @@ from backend.core.facts import (
     Said,
 )
 from backend.core.faults import FaultError, RefusedError
-from backend.core.flow import Episode, Pose
+from backend.core.flow import Episode
 from backend.dataset.coverage import Coverage
 from backend.runs import words
 from backend.runs.bench import Bench
@@ -33,6 +33,7 @@ from backend.runs.collected import (
     last_signals,
     measured,
 )
+from backend.runs.descents import place_over
 from backend.runs.gate import Decisions
 from backend.runs.jig import approach, handed, pick, put_back
 from backend.runs.judged import Felt
@@ -208,9 +209,10 @@ class Collector:
         """Go there, press, and lift off again; the probe before is settled on the way."""
         self._probes += 1
         probe = bench.settings.probe
-        grip_mm = bench.piece.grip_height_mm or 0.0
-        start_mm = (grip_mm if first_mm is None else first_mm) + probe.start_height_mm
-        place = Pose(origin.x_mm + wanted_mm[0], origin.y_mm + wanted_mm[1], start_mm)
+        there = (origin.x_mm + wanted_mm[0], origin.y_mm + wanted_mm[1])
+        place = place_over(bench, there)
+        if first_mm is not None:
+            place = replace(place, z_mm=first_mm + probe.start_height_mm)
         if first_mm is None:
             yield from approach(bench, place)
         else:

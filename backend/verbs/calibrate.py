@@ -128,7 +128,7 @@ class _Told:
 
 
 def _report(args: argparse.Namespace, session: Session, told: _Told, screen: Screen) -> int:
-    from backend.runs.calibrated import device_names
+    from backend.runs.calibrated import keep
 
     found, path = told.measured, None
     if found is not None:
@@ -141,7 +141,7 @@ def _report(args: argparse.Namespace, session: Session, told: _Told, screen: Scr
     if found is not None and args.accept and found.acceptable:
         assert session.calibrations is not None
         person = args.person or getpass.getuser()
-        path = session.calibrations.accept(found, device_names(session.devices), person)
+        path = keep(session.calibrations, found, session.devices, person)
         screen.say(f"Accepted: {path}")
     elif found is not None:
         screen.say(_verdict(found))

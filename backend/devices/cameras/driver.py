@@ -95,6 +95,7 @@ class TactileCamera:
             "condition": "stale" if stale else self._state.value,
             "mm_per_px_x": self._settings.mm_per_px_x,
             "mm_per_px_y": self._settings.mm_per_px_y,
+            "mirror": self._own.mirror,
             "invalid": self._gate.invalid,
             "skipped": self._newest.skipped,
             "reopened": self.reopened,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from backend.calibration.applied import MIRRORS
 from backend.calibration.camera import (
     DOT_SIGMA_PX,
     SIDES,
@@ -98,8 +99,13 @@ def test_every_way_that_two_cameras_can_sit_is_found(swap, left, right) -> None:
     found = find_setting(seen)
     assert found.exchanged == swap
     assert found.mirror == {"left": left, "right": right}
+    estimate = estimate_cameras(seen, PITCH_MM)
+    assert estimate.acceptable
+    assert estimate.value("exchanged") == swap
+    told = [MIRRORS[int(estimate.value(f"{finger}_mirror"))] for finger in ("left", "right")]
+    assert told == [left, right]
     wrong = swap or (left, right) != ("none", "none")
-    assert bool(estimate_cameras(seen, PITCH_MM).obstacle) == wrong
+    assert ("put right" in estimate.note) == wrong
 
 
 def test_motion_of_a_picture_is_told_by_shift_and_turn() -> None:

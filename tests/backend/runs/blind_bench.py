@@ -23,6 +23,7 @@ from backend.core.hush import Hush
 from backend.core.stream import SampleStream, Stream
 from backend.devices.guarded import GuardedArm, GuardedGripper
 from backend.devices.interlock import Interlock, Limits
+from backend.devices.protocols import Arm
 from backend.devices.sim.bench import BenchStreams, SimulatedBench
 from backend.objects.catalogue import load_catalogue
 from backend.runs.bench import Bench, NoModel
@@ -49,7 +50,9 @@ class BlindBench:
         choice: SceneChoice,
         preset: str = "mixed",
         changes: Mapping[str, object] = MappingProxyType({}),
+        arm: Callable[[Arm], Arm] = lambda arm: arm,
     ) -> None:
+        """``arm`` returns what stands in for the simulated one."""
         settings = SimulationSettings.model_validate(
             {"preset": preset, "cycle_us": STEP_US, **changes}
         )
@@ -78,7 +81,7 @@ class BlindBench:
 
         self.bench = Bench(
             now_s=now_s,
-            arm=GuardedArm(self.simulated.arm, self.interlock, now_s, press_n, surface_mm),
+            arm=GuardedArm(arm(self.simulated.arm), self.interlock, now_s, press_n, surface_mm),
             gripper=GuardedGripper(self.simulated.gripper, self.interlock, now_s),
             interlock=self.interlock,
             sensing=self.sensing,

@@ -16,9 +16,10 @@ from backend.devices.interlock import Limits
 from backend.devices.sim.arm import SimArm
 from backend.objects.shapes import circle, rectangle, regular, square
 from backend.runs import touching
-from backend.runs.calibrate_board import along_edges, measure_board, middle_of_overlap
+from backend.runs.calibrate_board import along_edges, measure_board
 from backend.runs.calibrate_payload import measure_payload, measure_wrist
 from backend.runs.calibrate_tool import measure_tool
+from backend.runs.descents import middle_of_overlap
 from backend.runs.motions import take_piece
 from backend.runs.requests import CalibrateRequest
 from backend.session import Keep

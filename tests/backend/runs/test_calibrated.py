@@ -9,14 +9,17 @@ import numpy as np
 import pytest
 
 from backend.assembly import SimulatedBenchChoice, simulated_session
+from backend.calibration.applied import seen_by
 from backend.calibration.estimate import Estimate, Quantity
 from backend.calibration.kinds import WHATS
 from backend.calibration.store import CalibrationStore
+from backend.config.hardware import GelsightSettings
 from backend.core.facts import EpisodeRecorded
 from backend.core.faults import RefusedError
+from backend.devices.protocols import Identity
 from backend.lab import LabChoice, lab_session
 from backend.rig.connection import Connection
-from backend.runs.calibrated import calibrations_for, device_names, payload_of
+from backend.runs.calibrated import calibrations_for, device_names, keep, payload_of
 from backend.runs.requests import (
     CalibrateRequest,
     CollectRequest,
@@ -32,9 +35,43 @@ WEIGHED = Estimate(
         Quantity("mass_kg", 1.5, 0.01, "kg"),
         Quantity("com_x_mm", 2.0, 0.1, "mm"),
         Quantity("com_y_mm", -1.0, 0.1, "mm"),
+        Quantity("face_x_mm", 0.1, 0.05, "mm"),
+        Quantity("face_y_mm", 0.2, 0.05, "mm"),
     ),
-    np.eye(3), np.zeros(6), 0.05, 0.3, "N",
+    np.eye(5), np.zeros(6), 0.05, 0.3, "N",
 )  # fmt: skip
+FELT = Estimate(
+    tuple(
+        Quantity(name, value, 0.01, "mm")
+        for name, value in (
+            ("x_mm", 0.5), ("y_mm", 0.1), ("z_mm", 30.0), ("slope_x_rad", 0.0), ("slope_y_rad", 0.0)
+        )
+    ),
+    np.eye(5), np.zeros(5), 0.05, 0.1, "mm",
+)  # fmt: skip
+SEEN = Estimate(
+    (
+        Quantity("exchanged", 1.0, 0.0, ""),
+        Quantity("left_mirror", 2.0, 0.0, ""),
+        Quantity("right_mirror", 1.0, 0.0, ""),
+        Quantity("left_u_mm_px", 0.058, 0.0, "mm/px"),
+        Quantity("left_v_mm_px", 0.06, 0.0, "mm/px"),
+        Quantity("right_u_mm_px", 0.059, 0.0, "mm/px"),
+        Quantity("right_v_mm_px", 0.06, 0.0, "mm/px"),
+    ),
+    np.zeros((7, 7)), np.zeros(4), 1.7, 3.0, "px",
+)  # fmt: skip
+
+
+class Camera:
+    """What a calibration asks a camera."""
+
+    def __init__(self, serial, mirror) -> None:
+        self.identity = Identity("GelSight", "Mini", serial, "")
+        self._mirror = mirror
+
+    def describe(self):
+        return {"mirror": self._mirror}
 
 
 def filled(folder, devices, mode="hardware", at=NOW) -> CalibrationStore:
@@ -54,6 +91,41 @@ def test_campaigns_on_hardware_need_calibrations_that_hold(tmp_path, request_) -
         calibrations_for(request_, "hardware", old, {})
     good = filled(tmp_path / "good", {})
     assert set(calibrations_for(request_, "hardware", good, {})) == set(WHATS)
+
+
+def test_a_board_felt_on_another_bottom_is_no_board_of_this_one(tmp_path) -> None:
+    store = filled(tmp_path, {})
+    store.accept(FELT.told(0.0, "board", "pot on square15"), {}, now=NOW + timedelta(seconds=2))
+    with pytest.raises(RefusedError, match=r"felt on square15, not on short.*--bottom short"):
+        calibrations_for(StackRequest(bottoms=("short",)), "hardware", store, {})
+    assert calibrations_for(CollectRequest(bottom="square15"), "hardware", store, {})
+
+
+def test_cameras_are_kept_as_they_sit_whatever_the_settings_were(tmp_path) -> None:
+    devices = {
+        f"tactile_{finger}": Camera(serial, mirror)
+        for finger, serial, mirror in (("left", "AAAA-1111", "x"), ("right", "BBBB-2222", "none"))
+    }
+    store = CalibrationStore(tmp_path, "hardware")
+    keep(store, SEEN.told(0.0, "camera"), devices)
+    record = store.standing("camera", {}).record
+    assert record is not None
+    settings = GelsightSettings.model_validate(
+        {
+            "left": {"serial": "AAAA-1111", "mirror": "x"},
+            "right": {"serial": "BBBB-2222", "crop_fraction": 0.2},
+        }
+    )
+    seen = seen_by(settings, record)
+    # The left finger is the camera B, of which y is reversed; of the camera A, x was set and is
+    # reversed again.
+    assert (seen.left.serial, seen.left.mirror, seen.left.crop_fraction) == ("BBBB-2222", "y", 0.2)
+    assert (seen.right.serial, seen.right.mirror) == ("AAAA-1111", "none")
+    assert (seen.mm_per_px_x, seen.mm_per_px_y) == pytest.approx((0.0585, 0.06))
+    # What it corrects is the file, however often it is read; other cameras are left alone.
+    assert seen_by(seen, record) == seen
+    other = GelsightSettings.model_validate({"left": {"serial": "CCCC-3333"}})
+    assert seen_by(other, record) == other
 
 
 def test_everything_else_begins_without_them(tmp_path) -> None:

@@ -1,0 +1,147 @@
+"""What calibrations that hold change: where the hand goes, how high contact is, what cameras show.
+
+``Placed`` is for the plans; ``seen_by`` corrects the settings of the cameras.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from backend.calibration.kinds import What
+from backend.calibration.record import Record
+from backend.config.hardware import FingerCameraSettings, GelsightSettings
+from backend.core.faults import RefusedError
+from backend.core.flow import FINGERS, FloatArray
+
+MIRRORS = ("none", "x", "y", "both")
+"""By their code: 1 for x, 2 for y."""
+ON = " on "
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A place for the hand, mm, with the standard uncertainty of each of x and y."""
+
+    x_mm: float
+    y_mm: float
+    sigma_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """Where the hand is with the face of ``piece`` over the centre of ``bottom``, touching it.
+
+    ``slope_x``, ``slope_y``: by how much it is higher per mm of x and y.
+    """
+
+    piece: str
+    bottom: str
+    place: Place
+    contact_mm: float
+    slope_x: float
+    slope_y: float
+
+    def is_of(self, piece: str, bottom: str) -> bool:
+        """Whether it was felt with this piece on this bottom."""
+        return (self.piece, self.bottom) == (piece, bottom)
+
+    def contact_at(self, middle_mm: FloatArray) -> float:
+        """Return the height of the hand with the middle of what touches (2,) off the centre."""
+        x_mm, y_mm = middle_mm.tolist()
+        return self.contact_mm + self.slope_x * float(x_mm) + self.slope_y * float(y_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """What board and tool say of places; neither where no calibration holds."""
+
+    board: Board | None = None
+    face: Place | None = None
+    """Centre of the held face from the axis of the tool."""
+
+    def origin(self, named_mm: tuple[float, float], sigma_mm: float, bottom: str) -> Place:
+        """Return where the hand has the face over the centre of ``bottom``.
+
+        A place that the operator names, other than (0, 0), is that of the bottom itself, known to
+        ``sigma_mm``: the hand stands off it by the face. Else the board tells it, if it was felt on
+        this bottom.
+        """
+        if not any(named_mm) and self.board is not None and self.board.bottom == bottom:
+            return self.board.place
+        x_mm, y_mm = named_mm
+        if self.face is None:
+            return Place(x_mm, y_mm, sigma_mm)
+        off = self.face
+        return Place(x_mm - off.x_mm, y_mm - off.y_mm, math.hypot(sigma_mm, off.sigma_mm))
+
+
+NOWHERE = Placed()
+
+
+def placed_by(used: Mapping[What, Record]) -> Placed:
+    """Return what the calibrations in use say of places."""
+    return Placed(_board(used.get("board")), _face(used.get("tool")))
+
+
+def refuse_other_bottom(used: Mapping[What, Record], bottom: str) -> None:
+    """Raise ``RefusedError`` if the board was felt on another bottom than ``bottom``."""
+    board = placed_by(used).board
+    if board is not None and board.bottom != bottom:
+        raise RefusedError(
+            "CALIBRATION-OTHER-BOTTOM",
+            f"Board: it was felt on {board.bottom}, not on {bottom}. "
+            f"Run 'touchdown calibrate board --bottom {bottom}'.",
+        )
+
+
+def seen_by(settings: GelsightSettings, record: Record) -> GelsightSettings:
+    """Return the settings of the cameras as the calibration found them to sit.
+
+    The record says which serial number is at which finger, how each picture is mirrored, and its
+    scale. Settings that name other cameras stay as they are.
+    """
+    by_finger = {finger: record.file.devices.get(f"tactile_{finger}") for finger in FINGERS}
+    known = {who.serial: finger for finger, who in by_finger.items() if who is not None}
+    own = {finger: getattr(settings, finger) for finger in FINGERS}
+    serials = {camera.serial for camera in own.values()}
+    if len(known) != 2 or (any(serials) and serials != set(known)):
+        return settings
+    if own["left"].serial and known[own["left"].serial] == "right":
+        own = {"left": own["right"], "right": own["left"]}
+    values = record.file.values
+    sat: dict[str, FingerCameraSettings] = {}
+    for finger in FINGERS:
+        code = values.get(f"{finger}_mirror")
+        mirror = own[finger].mirror if code is None else MIRRORS[round(code.value)]
+        sat[finger] = own[finger].model_copy(update={"mirror": mirror})
+    scale = {
+        f"mm_per_px_{pixel}": 0.5
+        * sum(values[f"{finger}_{image}_mm_px"].value for finger in FINGERS)
+        for pixel, image in (("x", "u"), ("y", "v"))
+    }
+    return settings.model_copy(update={**sat, **scale})
+
+
+def _board(record: Record | None) -> Board | None:
+    if record is None or ON not in record.file.about:
+        return None
+    piece, bottom = record.file.about.split(ON)
+    values = record.file.values
+    x, y = values["x_mm"], values["y_mm"]
+    return Board(
+        piece,
+        bottom,
+        Place(x.value, y.value, max(x.sigma, y.sigma)),
+        values["z_mm"].value,
+        values["slope_x_rad"].value,
+        values["slope_y_rad"].value,
+    )
+
+
+def _face(record: Record | None) -> Place | None:
+    if record is None:
+        return None
+    x, y = record.file.values["face_x_mm"], record.file.values["face_y_mm"]
+    return Place(x.value, y.value, max(x.sigma, y.sigma))

@@ -1,0 +1,91 @@
+"""A bench whose arm is set up wrongly reaches the true place once it has been calibrated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from backend.calibration.applied import NOWHERE, placed_by
+from backend.calibration.board import LIMIT_MM
+from backend.calibration.estimate import Estimate, Quantity
+from backend.calibration.store import CalibrationStore
+from backend.core.flow import Pose
+from backend.runs import touching
+from backend.runs.calibrate_board import measure_board
+from backend.runs.descents import place_over
+from backend.runs.jig import approach, pick, put_back
+from backend.runs.requests import CalibrateRequest
+from backend.runs.touching import BELOW_MM, touched_mm
+from tests.backend.runs.blind_bench import BRISK, BlindBench
+from tests.backend.runs.skewed_arm import SkewedArm
+
+OFF_MM = np.array([0.45, -0.4, -0.6])
+TILT_RAD = np.array([0.01, 0.008, 0.0])
+WANTED_MM = np.array([4.0, -3.0])
+ABOUT = "pot on square15"
+
+
+def touch_there(bench):
+    """Go to ``WANTED_MM`` over the bottom as a campaign does; return place, and height of contact
+    as expected and as felt."""
+    yield from pick(bench)
+    centre = bench.placed.origin((0.0, 0.0), 0.2, bench.bottom)
+    there = (centre.x_mm + WANTED_MM[0], centre.y_mm + WANTED_MM[1])
+    start = place_over(bench, there)
+    yield from approach(bench, start)
+    felt_mm = yield from touched_mm(bench, np.array(there), start.z_mm, BELOW_MM)
+    yield from put_back(bench)
+    return np.array(there), start.z_mm - bench.settings.probe.start_height_mm, felt_mm
+
+
+def test_a_wrong_prior_is_put_right_by_the_board(tmp_path, monkeypatch):
+    monkeypatch.setattr(touching, "SEARCH_MM", 1.6)
+    request = CalibrateRequest("board", seed=5)
+    skewed = []
+
+    def skew(arm):
+        skewed.append(SkewedArm(arm, OFF_MM, TILT_RAD))
+        return skewed[0]
+
+    blind = BlindBench(request.scene(), "off", arm=skew)
+    assert blind.bench.jig is not None
+    jig_mm = [blind.bench.jig.x_mm, blind.bench.jig.y_mm, blind.bench.jig.z_mm]
+    jig = Pose(*skewed[0].believed(np.array(jig_mm)).tolist())
+    # A descent of less than 0.4 s has no air in front of its contact: heights would be off.
+    probe = BRISK.probe.model_copy(update={"start_height_mm": 2.0})
+    settings = BRISK.model_copy(update={"probe": probe})
+    blind.bench = replace(blind.bench, jig=jig, settings=settings)
+    found = blind.run(lambda bench: measure_board(bench, request))
+    assert found.acceptable
+    store = CalibrationStore(tmp_path, "simulated")
+    store.accept(found.told(0.0, "board", ABOUT), {})
+    placed = placed_by(store.in_use({}, required=False))
+    misses: dict[str, tuple[float, float]] = {}
+    for name, known in (("calibrated", placed), ("not", NOWHERE)):
+        bench = replace(blind.bench, placed=known)
+        there_mm, expected_mm, felt_mm = blind.run(lambda _, bench=bench: touch_there(bench))
+        hand_mm = skewed[0].true(np.array([*there_mm, felt_mm]))[:2]
+        off_mm = hand_mm - blind.centres_mm[-1] - WANTED_MM
+        misses[name] = (np.abs(off_mm).max(), abs(felt_mm - expected_mm))
+    assert max(misses["calibrated"]) <= LIMIT_MM
+    assert misses["not"][0] > 0.3
+    assert misses["not"][1] > 0.4
+    # Of another bottom it says nothing; with another piece, nothing of the height.
+    assert placed.origin((0.0, 0.0), 0.2, "short") == NOWHERE.origin((0.0, 0.0), 0.2, "short")
+    assert placed.board is not None
+    assert not placed.board.is_of("barrel", "square15")
+
+
+def test_the_hand_stands_off_a_known_bottom_by_the_face(tmp_path):
+    estimate = Estimate(
+        (Quantity("face_x_mm", 0.3, 0.05, "mm"), Quantity("face_y_mm", -0.2, 0.05, "mm")),
+        np.eye(2), np.zeros(2), 0.05, 0.2, "mm",
+    )  # fmt: skip
+    store = CalibrationStore(tmp_path, "simulated")
+    store.accept(estimate.told(0.0, "tool"), {})
+    placed = placed_by(store.in_use({}, required=False))
+    at = placed.origin((10.0, 5.0), 0.2, "short")
+    assert (at.x_mm, at.y_mm) == pytest.approx((9.7, 5.2))
+    assert at.sigma_mm == pytest.approx(np.hypot(0.2, 0.05))

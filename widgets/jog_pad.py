@@ -79,6 +79,8 @@ class JogPad(Panel):
         self.level.setAccessibleName("Level the hand")
         self.keys = QPushButton("Arm keys")
         self.keys.setCheckable(True)
+        for button in (self.level, self.keys):
+            button.setProperty("role", "header")
         self.keys.setAccessibleName("Arm the jog keys")
         self.pace = JogPace(paces)
         self.speed = self.pace.speed

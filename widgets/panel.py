@@ -7,6 +7,9 @@ from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from widgets.elided import ElidedLabel
 
+HEADER_PX = 28
+"""Least height of every header, the room of its tools: the titles of neighbours are in line."""
+
 
 class Panel(QFrame):
     """Frame round one view. ``detail`` is the right-hand text of the header."""
@@ -19,11 +22,12 @@ class Panel(QFrame):
         self.detail = ElidedLabel("small")
         self.detail.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         header = QHBoxLayout()
+        header.addStrut(HEADER_PX)
         header.addWidget(self._title)
         header.addWidget(self.detail, 1)
         self.header = header
         self.column = QVBoxLayout(self)
-        self.column.setContentsMargins(10, 6, 10, 10)
+        self.column.setContentsMargins(10, 2, 10, 10)
         self.column.setSpacing(6)
         self.column.addLayout(header)
         if body is not None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 _SHEET = """
 * {{ outline: none; }}
 QWidget#frame, QMainWindow {{ background: {bg}; }}
+QDialog {{ background: {panel}; border: 1px solid {border}; }}
 QToolTip {{ background: {raised}; color: {text}; border: 1px solid {border}; padding: 4px 6px; }}
 
 QFrame[role="bar"] {{ background: {panel}; border: none; border-bottom: 1px solid {hairline}; }}
@@ -17,6 +18,8 @@ QFrame[role="rule"] {{ background: {hairline}; border: none; max-height: 1px; mi
 QFrame[role="chip"] {{ background: {raised}; border: 1px solid {hairline}; border-radius: 6px; }}
 QFrame[role="fault"] {{ background: {panel}; border: 1px solid {border};
     border-left: 6px solid {pill_red}; border-radius: 4px; }}
+QFrame[role="notice"] {{ background: {panel}; border: 1px solid {border};
+    border-left: 6px solid {pill_yellow}; border-radius: 4px; }}
 QFrame[role="question"] {{ background: {panel}; border: 1px solid {border};
     border-left: 6px solid {pill_blue}; border-radius: 4px; }}
 
@@ -58,6 +61,7 @@ QToolButton[role="rail"]:hover {{ background: {raised}; color: {text}; }}
 QToolButton[role="rail"]:checked {{ background: {raised}; color: {text}; font-weight: 600;
     border-left-color: {focus}; border-radius: 3px; }}
 QToolButton[role="rail"]:focus {{ border-color: {focus}; }}
+QToolButton[role="field"] {{ padding: 3px 8px; }}
 QToolButton[role="plain"] {{ background: transparent; border: 1px solid transparent;
     padding: 2px 6px; min-height: 20px; color: {muted}; }}
 QToolButton[role="plain"]:hover {{ background: {raised}; color: {text}; }}
@@ -95,6 +99,9 @@ QAbstractSpinBox QLineEdit {{ border: none; padding: 0; background: transparent;
 QComboBox[role="compact"] {{ padding: 0 6px; min-height: 18px; font-size: {small}pt; }}
 
 QPushButton[role="compact"] {{ padding: 0 4px; min-height: 18px; font-size: {small}pt; }}
+QPushButton[role="header"] {{ padding: 1px 8px; min-height: 22px; }}
+QPushButton[role="header"]:checked {{ background: {selection}; color: {selection_text};
+    border-color: {selection}; }}
 
 QSpinBox[role="compact"] {{ padding: 0 4px; min-height: 18px; font-size: {small}pt; }}
 QSpinBox[role="compact"]::up-button, QSpinBox[role="compact"]::down-button {{ width: 0; }}

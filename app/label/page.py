@@ -104,6 +104,7 @@ class LabelPage(QWidget):
         self.curves = _choice("Curves on one axis", ["Forces, moments", *pairs])
         self.person = QPushButton("nobody")
         self.person.setToolTip("Who labels (Ctrl+U)")
+        self.person.setProperty("role", "header")
         self.choice = ChoiceBar(self)
         self.queue.activated.connect(self._queue_chosen)
         self.curves.activated.connect(self._curves_chosen)

@@ -59,7 +59,7 @@ class SideTabs(Panel):
         for number, name in enumerate(TABS):
             button = QPushButton(name)
             button.setCheckable(True)
-            button.setProperty("role", "choice")
+            button.setProperty("role", "header")
             self._buttons.addButton(button, number)
             self.header.insertWidget(number, button)
         self._buttons.idClicked.connect(self.choose)

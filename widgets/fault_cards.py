@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from widgets.panel import label
+from widgets.panel import label, set_property
 
 MAX_CARDS = 4
 STOPPED = "STOPPED"
@@ -47,6 +47,11 @@ class CardText:
     obstacle: bool = False
 
     @property
+    def role(self) -> str:
+        """Return how the card looks: a fault, or a word that stops nothing or only waits."""
+        return "notice" if self.notice or self.obstacle or self.passing else "fault"
+
+    @property
     def key(self) -> str:
         """Return what makes two cards the same one."""
         return f"{self.code} {self.what}" if self.notice else self.code
@@ -68,7 +73,7 @@ class FaultCard(QFrame):
     ) -> None:
         super().__init__()
         self.text, self.count = text, 1
-        self.setProperty("role", "fault")
+        self.setProperty("role", text.role)
         self._title = label("", "head", wrap=True)
         self._foot = label("", "small")
         self._details = QPlainTextEdit(text.details or self._plain())
@@ -165,6 +170,7 @@ class _Strip(QFrame):
         self.show_all.setAccessibleName(f"Show: {text.what}")
         self.reset.setAccessibleName(f"Reset: {text.what}")
         self.reset.setVisible(text.reset)
+        set_property(self, "role", text.role)
         self.show()
 
 

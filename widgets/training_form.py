@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
-from PySide6.QtCore import QSignalBlocker
+from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
@@ -20,6 +20,7 @@ from PySide6.QtWidgets import (
 )
 
 from widgets.icons import icon
+from widgets.number_inset import inset
 from widgets.panel import Panel, label
 from widgets.theme import Theme
 
@@ -86,12 +87,13 @@ class TrainingFormPanel(Panel):
         self.data, self.labels, self.piece = QComboBox(), QComboBox(), QComboBox()
         self.modality, self.folder = QComboBox(), QToolButton()
         self.numbers, self.divide = _Numbers(), QCheckBox("Divide series by grips")
-        self.start, self.cancel = QPushButton("Start training"), QPushButton("Cancel")
+        self.start, self.cancel = QPushButton("Start"), QPushButton("Cancel")
         self.resume, self.defaults = QPushButton("Resume"), QToolButton()
         self.start.setProperty("role", "primary")
         self.defaults.setProperty("role", "plain")
         self.defaults.setText("Defaults")
         self.folder.setText("\N{HORIZONTAL ELLIPSIS}")
+        self.folder.setProperty("role", "field")
         for combo, entries in ((self.labels, LABELS), (self.modality, MODALITIES)):
             for key, text in entries:
                 combo.addItem(text, key)
@@ -150,12 +152,15 @@ class TrainingFormPanel(Panel):
         self.detail.setText("support: p > 0.9")
         self.detail.setToolTip("A face point supports above this probability (the paper's delta)")
         self.header.addWidget(self.defaults)
+        # One row: the table of the split needs the room of a second.
         buttons = QHBoxLayout()
-        buttons.addWidget(self.cancel, 1)
-        buttons.addWidget(self.resume, 1)
+        buttons.addWidget(self.start, 1)
+        buttons.addWidget(self.cancel)
+        buttons.addWidget(self.resume)
         self.column.addLayout(form)
-        self.column.addWidget(self.start)
         self.column.addLayout(buttons)
+        # As high as the field beside it.
+        self.folder.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Ignored)
         for one in (self.data, self.labels, self.piece, self.modality):
             one.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
             one.setMinimumContentsLength(8)
@@ -164,8 +169,10 @@ class TrainingFormPanel(Panel):
             )
 
     def show_data(self, entries: Sequence[tuple[str, str]], chosen: str) -> None:
-        """Offer these (folder, title) and choose one, without telling."""
+        """Offer these (folder, title) and choose one, without telling; the tip has the folder."""
         _refill(self.data, entries, chosen)
+        for at, (folder, _) in enumerate(entries):
+            self.data.setItemData(at, folder, Qt.ItemDataRole.ToolTipRole)
 
     def show_pieces(self, entries: Sequence[tuple[str, str]], chosen: str) -> None:
         """Offer these (name, title) and choose one, without telling."""
@@ -206,12 +213,10 @@ class TrainingFormPanel(Panel):
         self.draw_icons()
 
     def draw_icons(self) -> None:
-        """Draw the icons in the colours of the theme."""
+        """Draw the icon in the colours of the theme."""
         t = self._theme.tokens
         ink = t.colour("panel") if self.start.isEnabled() else t.colour("disabled")
         self.start.setIcon(icon("play", ink))
-        for button, name in ((self.cancel, "cancel"), (self.resume, "play")):
-            button.setIcon(icon(name, t.colour("text" if button.isEnabled() else "disabled")))
 
 
 class _Numbers:
@@ -222,6 +227,7 @@ class _Numbers:
         self.epochs, self.batch = _whole(1, 1000), _whole(1, 1024)
         self.held_out, self.seed = _whole(5, 50), _whole(0, 999_999)
         self.held_out.setSuffix(" %")
+        self.held_out.setProperty("role", "compact")
         self.rate = QDoubleSpinBox()
         self.rate.setDecimals(4)
         self.rate.setRange(0.0001, 1.0)
@@ -238,7 +244,7 @@ class _Numbers:
         for name, tip, box in self.named:
             box.setAccessibleName(name)
             box.setToolTip(tip)
-            box.lineEdit().setTextMargins(6, 0, 0, 0)
+            inset(box)
             # Two share a row: the room of the largest number would not fit.
             box.setMinimumWidth(LEAST_PX)
 

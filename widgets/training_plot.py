@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
@@ -15,6 +15,8 @@ from widgets.plot_axes import PlotArea, nice_step, spread, tick_text, ticks
 from widgets.theme import Theme, ui_font
 
 LEAST_EPOCHS = 4
+WIDEST_ENDING = "valid. 0.000"
+"""Room for this beside all curves: those below each other end in line."""
 TOKENS = ("axis_x", "axis_z", "axis_y")
 """Colours of the compared runs A, B, C; each line also carries its letter."""
 Points = tuple[tuple[float, float], ...]
@@ -50,6 +52,11 @@ class _Plot(QWidget):
         top = 1.6 * em
         width, height = self.width() - 2.6 * em - right, self.height() - top - 1.5 * em
         return PlotArea(QRectF(2.6 * em, top, max(width, 20), max(height, 20)), *x, *y)
+
+    def _beside(self, endings: Iterable[str] = ()) -> float:
+        """Return the room at the right that the words there take."""
+        metrics = QFontMetrics(ui_font(self._theme.scale, 0.82, 500))
+        return 12.0 + max(metrics.horizontalAdvance(text) for text in (WIDEST_ENDING, *endings))
 
     def _draw_axes(self, painter: QPainter, area: PlotArea, *, whole: bool) -> None:
         t, rect = self._theme.tokens, area.rect
@@ -115,10 +122,8 @@ class CurvePlot(_Plot):
         low, high = max(low - gap, 0.0), high + gap
         if self._top is not None:
             high = min(high, self._top)
-        metrics = QFontMetrics(ui_font(self._theme.scale, 0.82, 500))
-        names = [metrics.horizontalAdvance(_ending(one)) for one in self.lines if one.points]
-        right = 12.0 + max(names, default=0)
-        return self._area((1.0, float(max(self.epochs, LEAST_EPOCHS))), (low, high), right)
+        room = self._beside(_ending(one) for one in self.lines if one.points)
+        return self._area((1.0, float(max(self.epochs, LEAST_EPOCHS))), (low, high), room)
 
     def paintEvent(self, _event: QPaintEvent) -> None:
         """Draw axes, curves, and their names where they end."""

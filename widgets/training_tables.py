@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from PySide6.QtCore import QItemSelectionModel, QSignalBlocker, Qt
+from PySide6.QtCore import QItemSelectionModel, QSignalBlocker, QSize, Qt
 from PySide6.QtGui import QFontMetrics, QPainter, QPaintEvent
 from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem
 
 from widgets.theme import Theme, ui_font
 
 MOST_COMPARED = 3
+LEAST_ROWS = 3
+"""Every table has room for so many, at the least size of the window too."""
 RIGHT = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
 
 
@@ -64,6 +66,12 @@ class FigureTable(QTableWidget):
                 if c:
                     item.setTextAlignment(RIGHT)
                 self.setItem(r, c, item)
+        self.updateGeometry()
+
+    def sizeHint(self) -> QSize:
+        """Return the room of all rows."""
+        rows = max(self.rowCount(), LEAST_ROWS) * self.verticalHeader().defaultSectionSize()
+        return QSize(256, self.horizontalHeader().height() + rows + 2 * self.frameWidth() + 2)
 
     def paintEvent(self, event: QPaintEvent) -> None:
         """Draw the rows, or why there are none."""
@@ -90,7 +98,7 @@ class FigureTable(QTableWidget):
         self.verticalHeader().setDefaultSectionSize(height)
         self.verticalHeader().setMinimumSectionSize(height)
         self.horizontalHeader().setFixedHeight(height)
-        self.setMinimumHeight(3 * height)
+        self.setMinimumHeight((1 + LEAST_ROWS) * height + 2 * self.frameWidth())
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from PySide6.QtGui import QFontMetrics
-from PySide6.QtWidgets import QHBoxLayout, QPushButton, QWidget
+from PySide6.QtWidgets import QHBoxLayout, QPushButton, QSizePolicy, QWidget
 
 from app.live_page import column
 from widgets.columns import Columns
@@ -69,8 +69,6 @@ class TrainPage(QWidget):
         self._left.setMinimumWidth(round(17 * em))
         for table in (self.split, self.runs, self.differences, self.figures):
             table.fit_to_theme()
-        # Below the tall form there is room for few rows: they scroll.
-        self.split.setMinimumHeight(round(0.75 * self.split.minimumHeight()))
         self.form.draw_icons()
 
     def show_busy(self, busy: bool) -> None:
@@ -129,6 +127,8 @@ class TrainPage(QWidget):
 
     def _comparison(self) -> Panel:
         self.comparison = Panel("Comparison")
-        self.comparison.column.addWidget(self.figures, 1)
+        # As high as its rows: what is over belongs to the longer table below.
+        self.figures.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
+        self.comparison.column.addWidget(self.figures)
         self.comparison.column.addWidget(self.differences, 1)
         return self.comparison

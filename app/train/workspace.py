@@ -167,11 +167,16 @@ class TrainWorkspace(Workspace):
 
     def _show_folders(self, chosen: str) -> None:
         own = dataset_folder()
+        names = [one.name for one in self._folders]
         entries = [
-            (str(one), "Own dataset" if one == own else f"{one.name}  ({one.parent})")
-            for one in self._folders
+            (str(one), "Own dataset" if one == own else _short(one, names)) for one in self._folders
         ]
         self.page.form.show_data(entries, chosen)
+
+
+def _short(folder: Path, names: Sequence[str]) -> str:
+    """Return the name of a folder, below the folder it lies in where two have the same name."""
+    return f"{folder.parent.name}/{folder.name}" if names.count(folder.name) > 1 else folder.name
 
 
 def form_of(memory: Mapping[str, object]) -> tuple[TrainingForm, list[str]]:

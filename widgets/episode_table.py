@@ -16,7 +16,7 @@ Index = QModelIndex | QPersistentModelIndex
 ROOT = QModelIndex()
 HEADS = ("No.", "Status", "Quality", "x, y (mm)", "Time", "Grip", "Person")
 RIGHT = frozenset((0, 3, 4))
-WIDTHS_EM = (2.9, 4.6, 4.0, 5.6, 4.1, 3.4, 4.6)
+WIDTHS_EM = (2.9, 4.5, 3.8, 5.3, 4.1, 3.4, 4.6)
 NUMBER, QUALITY, TIME = 0, 2, 4
 UP, DOWN = "\N{BLACK UP-POINTING SMALL TRIANGLE}", "\N{BLACK DOWN-POINTING SMALL TRIANGLE}"
 """Beside the head that sorts: Qt's own mark would cover the word."""

@@ -12,7 +12,6 @@ from PySide6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QVBoxLayout, QW
 from app.collect.harvest import SIGNALS
 from backend.core.flow import FINGERS, Finger
 from widgets.distribution_view import DistributionView
-from widgets.elided import ElidedLabel
 from widgets.episode_table import EpisodeTable
 from widgets.force_traces import TracePlot
 from widgets.freshness import Age
@@ -65,7 +64,8 @@ class CollectPage(QWidget):
         self.deleted = QCheckBox("Deleted too")
         self.deleted.setToolTip("Show probes that were discarded")
         self.health = HealthPanel()
-        self.recorder = ElidedLabel("small")
+        self._recorder_panel = Panel("Recorder")
+        self.recorder = self._recorder_panel.detail
         self.recorder.setAccessibleName("Recorder")
         # Whoever has said their name decides by letters next: they belong to the page again.
         self.target.person.returnPressed.connect(self.setFocus, Qt.ConnectionType.QueuedConnection)
@@ -114,19 +114,19 @@ class CollectPage(QWidget):
         left.addWidget(self.target, 1)
         middle = QVBoxLayout()
         middle.setSpacing(8)
-        middle.addWidget(self._live_panel(), 4)
-        middle.addWidget(self._maps_panel(), 5)
+        middle.addWidget(self._live_panel(), 1)
+        middle.addWidget(self._maps_panel(), 1)
         self._right, right = _column()
         right.addWidget(self.probe)
         right.addWidget(self._table_panel(), 1)
         right.addWidget(self.health)
-        right.addWidget(self._recorder_panel())
+        right.addWidget(self._recorder_panel)
         row = QHBoxLayout(self)
         row.setContentsMargins(10, 8, 10, 8)
         row.setSpacing(8)
         row.addWidget(self._left, 5)
-        row.addLayout(middle, 11)
-        row.addWidget(self._right, 7)
+        row.addLayout(middle, 10)
+        row.addWidget(self._right, 8)
         self.fit_to_theme()
 
     def _live_panel(self) -> Panel:
@@ -147,7 +147,7 @@ class CollectPage(QWidget):
         self.maps = Panel("Displacements")
         self.maps.header.addWidget(self.signal)
         line = QHBoxLayout()
-        line.setSpacing(6)
+        line.setSpacing(16)
         self.coverage_caption = Captioned("Coverage", self.coverage)
         self.distribution_caption = Captioned("Distribution", self.distribution)
         line.addWidget(self.coverage_caption, 1)
@@ -159,11 +159,6 @@ class CollectPage(QWidget):
         self.episodes = Panel("Episodes", self.table)
         self.episodes.header.addWidget(self.deleted)
         return self.episodes
-
-    def _recorder_panel(self) -> Panel:
-        panel = Panel("Recorder")
-        panel.column.addWidget(self.recorder)
-        return panel
 
 
 def _column() -> tuple[QWidget, QVBoxLayout]:

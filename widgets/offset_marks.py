@@ -115,6 +115,27 @@ def draw_face(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Them
     plus(painter, QPointF(area.x(scene.centre_mm[0]), area.y(scene.centre_mm[1])), 8)
 
 
+def draw_names(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Theme) -> None:
+    """Write what bottom and face are, each where the other is not, and the way between them."""
+    if scene.names is None or scene.offset_mm is None:
+        return
+    away = np.array(scene.offset_mm)
+    length = float(np.hypot(*away))
+    way = away / length if length > 0 else np.array([1.0, 0.0])
+    centre = QPointF(area.x(0.0), area.y(0.0))
+    face = QPointF(area.x(scene.offset_mm[0]), area.y(scene.offset_mm[1]))
+    painter.setPen(QPen(theme.tokens.colour("text"), 1, Qt.PenStyle.DotLine))
+    painter.drawLine(centre, face)
+    painter.setPen(QPen(theme.tokens.colour("text"), 2))
+    plus(painter, face, 6)
+    painter.setFont(ui_font(theme.scale, 1.0, 600))
+    reach = [0.55 * float(np.hypot(*outline.T).max()) for outline in (scene.bottom, scene.face)]
+    places = (-reach[0] * way, away + reach[1] * way)
+    for (x, y), name in zip(places, scene.names, strict=True):
+        box = QRectF(area.x(float(x)) - 80, area.y(float(y)) - 12, 160, 24)
+        painter.drawText(box, int(Qt.AlignmentFlag.AlignCenter), name)
+
+
 def _points(
     painter: QPainter, area: PlotArea, points: FloatArray, colour: QColor, size: float
 ) -> None:

@@ -33,6 +33,7 @@ class OffsetScene:
     ``bottom`` and ``face``: (k, 2) outlines, each round its own centre. ``offset_mm`` is None while
     nobody has said where the face is. ``points_mm`` (N, 2), ``touching`` (N,), ``hull_mm`` (k, 2),
     ``centre_mm``, ``margin_mm`` and ``support`` follow from it. ``sigma_mm``: of the label.
+    ``names``: of bottom and face, written into them; none while there is more to see.
     """
 
     bottom: FloatArray
@@ -48,6 +49,7 @@ class OffsetScene:
     too_close: bool = False
     sigma_mm: float = 0.0
     ghosts: tuple[Ghost, ...] = ()
+    names: tuple[str, str] | None = None
 
     @property
     def reach_mm(self) -> float:

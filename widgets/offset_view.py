@@ -124,6 +124,7 @@ class OffsetView(QWidget):
         painter.setClipRect(area.rect)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         marks.draw_face(painter, area, self.scene, self._theme)
+        marks.draw_names(painter, area, self.scene, self._theme)
 
     def _background(self, scene: OffsetScene, area: PlotArea) -> QPixmap:
         """Return the ground with the ghosts: drawn once per episode."""

@@ -124,9 +124,11 @@ class ScorePanel(Panel):
         placed = sum(o is Outcome.PLACED for o in score.outcomes)
         count = f"{placed} of {score.counted} placed" if score.outcomes else "No trial yet"
         self._count.setText(count)
-        done = f"{len(score.outcomes)} of {score.trials} done" if score.trials else ""
+        done = f"{len(score.outcomes)} of {score.trials}" if score.trials else ""
         aborted = sum(o is Outcome.ABORTED for o in score.outcomes)
-        self.detail.setText(f"{done}, {aborted} aborted" if aborted else done)
+        # Beside a button of the header there is room for few words.
+        last = f"{done}, {aborted} aborted" if aborted else f"{done} done"
+        self.detail.setText(last if done else "")
         rate = ""
         if score.interval is not None:
             low, high = (100 * bound for bound in score.interval)

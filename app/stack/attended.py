@@ -130,7 +130,7 @@ class AttendedPresenter:
         catalogue = self._link.catalogue
         face = catalogue.piece(asked.piece).face.polygon(96)
         bottom = catalogue.piece(asked.bottom.split("+")[-1]).face.polygon(96)
-        return OffsetScene(bottom, face, asked.start_mm)
+        return OffsetScene(bottom, face, asked.start_mm, names=(asked.bottom, asked.piece))
 
     def _refused(self, error: Exception) -> None:
         fix = error.fix if isinstance(error, InputError) else ""

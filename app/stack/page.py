@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from PySide6.QtGui import QFontMetrics
-from PySide6.QtWidgets import QHBoxLayout, QSizePolicy
+from PySide6.QtWidgets import QHBoxLayout, QSizePolicy, QVBoxLayout
 
 from app.live_page import LivePage, column, no_higher
 from backend.core.flow import FINGERS
@@ -94,6 +94,10 @@ class StackPage(LivePage):
         score_px = 0 if self.columns.hides("Trials") else self.score.sizeHint().height()
         room = self.height() > self.run.sizeHint().height() + score_px + SIDE_PX
         self.side_panel.setVisible(room and not self.columns.hides(SIDE))
+        # Without the side view the trials take its room: all columns end in one line.
+        layout = self._right.layout()
+        assert isinstance(layout, QVBoxLayout)
+        layout.setStretchFactor(self.score, int(self.side_panel.isHidden()))
 
     def _arrange(self) -> None:
         fingers = QHBoxLayout()

@@ -159,6 +159,9 @@ class StackPresenter:
             self._page.belief_panel.detail.setText("")
             if trial is not None and trial.finished is not None:
                 self._page.decision.show_text(self._ended(trial.finished))
+            elif self._link.status().asks:
+                asks = f"{self._link.status().asks.capitalize()}."
+                self._page.decision.show_text(DecisionText("Your turn", "", "", asks))
             elif trial is not None:
                 pressed = trial.phase in PRESSING
                 follows = "The estimate follows the press." if pressed else "A press follows."

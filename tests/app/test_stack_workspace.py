@@ -160,7 +160,7 @@ def test_a_trial_stopped_in_its_first_press_tells_one_story(live, bench):
     settle(live)
     assert page.belief.scene.empty[0] == "No probe in this trial"
     assert page.score._last.text() == "Seed 7: aborted after 0 probes."
-    assert page.score.detail.text() == "1 of 3 done, 1 aborted"
+    assert page.score.detail.text() == "1 of 3, 1 aborted"
     assert page.score._count.text() == "0 of 1 placed"
 
 

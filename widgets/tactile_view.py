@@ -23,7 +23,7 @@ from backend.core.flow import Finger, FloatArray, MarkerField, MarkerState, Tact
 from widgets import arrows
 from widgets.dimmed import DimmedPicture
 from widgets.freshness import Age
-from widgets.magnitude import magnitude_picture
+from widgets.magnitude import magnitude_picture, magnitude_scale
 from widgets.overlay import draw_message, draw_stale
 from widgets.strokes import Strokes
 from widgets.theme import Theme, ui_font
@@ -55,7 +55,7 @@ class TactileView(QWidget):
         self._age, self._age_s, self._reason = Age.NEVER, 0.0, ""
         self._picture, self._strokes = DimmedPicture(), Strokes()
         self._legend: QPixmap | None = None
-        self._legend_key = (0.0, 0.0, 0.0)
+        self._legend_key: tuple[object, ...] = ()
         self.look: Look = "both"
         self.paints = 0
         self.setAccessibleName(f"Tactile image, {finger} finger")
@@ -128,7 +128,7 @@ class TactileView(QWidget):
         if self._field is not None and self.look in ("both", "arrows"):
             _draw_markers(painter, self._field, scale, self._strokes)
         painter.restore()
-        if self.look in ("both", "arrows"):
+        if self.look != "image":
             self._draw_legend(painter, target)
         if self._age is Age.STALE:
             draw_stale(painter, target, self._theme, self._age_s)
@@ -147,10 +147,12 @@ class TactileView(QWidget):
             self._picture.draw(painter, target, frame.image, ratio, bright)
 
     def _draw_legend(self, painter: QPainter, target: QRectF) -> None:
-        key = (target.width(), self._theme.scale, self.devicePixelRatioF())
+        sizes, ratio = self.look == "magnitude", self.devicePixelRatioF()
+        key = (target.width(), self._theme.scale, ratio, sizes)
         if self._legend is None or key != self._legend_key:
             font = ui_font(self._theme.scale, 0.85)
-            self._legend, self._legend_key = _legend(target.width(), font, key[2]), key
+            drawn = magnitude_scale(font, ratio) if sizes else _legend(target.width(), font, ratio)
+            self._legend, self._legend_key = drawn, key
         size = self._legend.deviceIndependentSize()
         at = target.bottomRight() - QPointF(size.width() + 4, size.height() + 4)
         painter.drawPixmap(at, self._legend)

@@ -7,6 +7,7 @@ from this computer's own data.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 import tempfile
@@ -48,7 +49,17 @@ def main(argv: list[str]) -> int:
     with tempfile.TemporaryDirectory() as folder:
         for name in ("TOUCHDOWN_DATA", "TOUCHDOWN_CONFIG"):
             os.environ[name] = folder
+        if os.environ["QT_QPA_PLATFORM"] == "offscreen":
+            _use_large_screen(Path(folder) / "screen.json")
         return _render(args, Path(folder))
+
+
+def _use_large_screen(file: Path) -> None:
+    """Stand dialogs where a desk's screen would: the platform's own is 800 px wide."""
+    screen = {"name": "desk", "x": 0, "y": 0, "width": 1920, "height": 1200,
+              "logicalDpi": 96, "dpr": 1}  # fmt: skip
+    file.write_text(json.dumps({"screens": [screen]}), encoding="utf-8")
+    os.environ["QT_QPA_PLATFORM"] = f"offscreen:configfile={file}"
 
 
 def _render(args: argparse.Namespace, folder: Path) -> int:

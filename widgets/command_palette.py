@@ -5,11 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from PySide6.QtCore import QEvent, QObject, Qt
-from PySide6.QtGui import QKeyEvent
-from PySide6.QtWidgets import QDialog, QLineEdit, QListWidget, QListWidgetItem, QVBoxLayout, QWidget
+from PySide6.QtCore import QEvent, QModelIndex, QObject, QPersistentModelIndex, Qt
+from PySide6.QtGui import QColor, QKeyEvent, QPainter, QPalette
+from PySide6.QtWidgets import (
+    QDialog,
+    QLineEdit,
+    QListWidget,
+    QListWidgetItem,
+    QStyle,
+    QStyledItemDelegate,
+    QStyleOptionViewItem,
+    QVBoxLayout,
+    QWidget,
+)
 
 SHOWN = 200
+NAME, CHOICE = Qt.ItemDataRole.UserRole, Qt.ItemDataRole.UserRole + 1
+INSET_PX, GAP_PX = 10, 12
+FAINT = 0.72
+"""How strongly the workspace of a command is written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +67,39 @@ def best(query: str, choices: Sequence[Choice]) -> list[Choice]:
     return [choice for _, _, choice in sorted(scored, key=lambda row: row[:2])][:SHOWN]
 
 
+class _Entry(QStyledItemDelegate):
+    """Writes what is done at the left, where it acts beside it, and the key at the right."""
+
+    def paint(
+        self,
+        painter: QPainter,
+        option: QStyleOptionViewItem,
+        index: QModelIndex | QPersistentModelIndex,
+    ) -> None:
+        choice = index.data(CHOICE)
+        self.initStyleOption(option, index)
+        option.text = ""
+        widget: QWidget = option.widget
+        widget.style().drawControl(QStyle.ControlElement.CE_ItemViewItem, option, painter, widget)
+        chosen = bool(option.state & QStyle.StateFlag.State_Selected)
+        role = QPalette.ColorRole.HighlightedText if chosen else QPalette.ColorRole.Text
+        ink = widget.palette().color(role)
+        faint = QColor(ink)
+        faint.setAlphaF(1.0 if chosen else FAINT)
+        box = option.rect.adjusted(INSET_PX, 0, -INSET_PX, 0)
+        metrics, middle = painter.fontMetrics(), Qt.AlignmentFlag.AlignVCenter
+        room = box.width() - (metrics.horizontalAdvance(choice.key) + GAP_PX if choice.key else 0)
+        text = metrics.elidedText(choice.text, Qt.TextElideMode.ElideRight, room)
+        painter.setPen(ink)
+        painter.drawText(box, int(middle), text)
+        painter.drawText(box, int(middle | Qt.AlignmentFlag.AlignRight), choice.key)
+        used = metrics.horizontalAdvance(text) + GAP_PX
+        if used < room:
+            where = metrics.elidedText(choice.where, Qt.TextElideMode.ElideRight, room - used)
+            painter.setPen(faint)
+            painter.drawText(box.adjusted(used, 0, 0, 0), int(middle), where)
+
+
 TAKES = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
 """Keys that take the entry, whatever they mean on the page."""
 
@@ -70,6 +117,7 @@ class CommandPalette(QDialog):
         self.field.setPlaceholderText("What do you want to do?")
         self.field.setAccessibleName("Find a command")
         self.list.setAccessibleName("Commands that fit")
+        self.list.setItemDelegate(_Entry(self.list))
         self.list.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.field.textChanged.connect(self._filter)
@@ -97,7 +145,7 @@ class CommandPalette(QDialog):
     def shown(self) -> list[str]:
         """Return the names in the list, best first."""
         rows = (self.list.item(row) for row in range(self.list.count()))
-        return [str(item.data(Qt.ItemDataRole.UserRole)) for item in rows]
+        return [str(item.data(NAME)) for item in rows]
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         """Let the arrows walk in the list and Return take the entry while the text is edited."""
@@ -128,7 +176,8 @@ class CommandPalette(QDialog):
         for choice in best(query, self._choices):
             key = f"   {choice.key}" if choice.key else ""
             item = QListWidgetItem(f"{choice.text}   ({choice.where}){key}")
-            item.setData(Qt.ItemDataRole.UserRole, choice.name)
+            item.setData(NAME, choice.name)
+            item.setData(CHOICE, choice)
             self.list.addItem(item)
         self.list.setCurrentRow(0)
         self._describe()
@@ -144,4 +193,4 @@ class CommandPalette(QDialog):
     def _take(self, item: QListWidgetItem | None) -> None:
         if item is not None:
             self.close()
-            self._on_choice(str(item.data(Qt.ItemDataRole.UserRole)))
+            self._on_choice(str(item.data(NAME)))

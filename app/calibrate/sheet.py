@@ -153,6 +153,11 @@ class CalibrateSheet(QDialog):
         self.measure.setToolTip(look.why or "The arm moves. STOP works as ever.")
         self.cancel.setEnabled(look.busy)
         self.accept_it.setEnabled(look.can_accept)
+        for button, leads in (
+            (self.accept_it, look.can_accept),
+            (self.measure, not look.can_accept),
+        ):
+            set_property(button, "role", "primary" if leads else "")
         self.form.setEnabled(not look.busy)
         for choice in self.choices:
             choice.setEnabled(not look.busy)
@@ -230,7 +235,6 @@ class CalibrateSheet(QDialog):
 
     def _foot(self) -> QHBoxLayout:
         foot = QHBoxLayout()
-        self.measure.setProperty("role", "primary")
         for button in (self.measure, self.cancel, self.accept_it):
             foot.addWidget(button)
         foot.addStretch(1)

@@ -1,7 +1,8 @@
 """A Universal Robots arm as a device: straight moves, jogging, compliant presses by servo cycles.
 
-One thread owns the control interface, which takes one caller at a time; STOP is a flag that it
-sees in its next cycle. If this program dies, the controller's watchdog stops the arm.
+One thread owns the control interface, which takes one caller at a time. STOP goes out on a
+connection of its own and waits neither for that thread nor for its lock; the script is sent again
+before the next motion. If this program dies, the controller's watchdog stops the arm.
 """
 
 from __future__ import annotations
@@ -27,8 +28,6 @@ from backend.devices.protocols import (
     Identity,
     Joints,
     PressCommand,
-    RobotMode,
-    SafetyMode,
     Vector,
 )
 from backend.devices.steps import Steps
@@ -38,8 +37,8 @@ from backend.devices.streamed.motion import ARM, NOT_CONNECTED, STOPPED, ArmPres
 from backend.devices.streamed.orders import StreamedOrders, air_before
 from backend.devices.streamed.programs import Travel
 from backend.devices.ur.faults import leaning_fault, link_fault, robot_fault
+from backend.devices.ur.fields import words_of
 from backend.devices.ur.rtde import (
-    REDUCED,
     RUNNING,
     Interfaces,
     OpenRobot,
@@ -47,11 +46,14 @@ from backend.devices.ur.rtde import (
     open_robot,
 )
 from backend.devices.ur.servo import Placing, ServoCore, lean_rad
+from backend.devices.ur.stop_lane import StopLane
 from backend.devices.ur.watch import Watch
 
 BRAKE_M_S2 = 2.0
 SERVO_ON_S = 30.0
 LOOK_S = 0.05
+SETTLE_S = 1.0
+"""A stop that was asked for is answered within this, or nothing moves."""
 AXES = ("x_mm", "y_mm", "z_mm")
 NO_TURNS = "this arm does not turn its hand"
 
@@ -90,6 +92,8 @@ class UrArm:
         self._lock = threading.Lock()
         self._stop_asked, self._ends = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
+        self._lane: StopLane | None = None
+        self._script_ended = False
         self._servoing = False
         self._watch = Watch(-math.inf)
         self.steps = Steps()
@@ -130,7 +134,8 @@ class UrArm:
 
     def close(self) -> None:
         """Brake, end the script; the gripper stays as it is."""
-        self.stop()
+        with self._lock:
+            self._core.end(STOPPED)
         self._drop()
         self.state = DeviceState.CLOSED
 
@@ -151,8 +156,13 @@ class UrArm:
         if robot.receive.getRobotMode() != RUNNING:
             raise FaultError(robot_fault("The motors do not come on"))
         with self._lock:
-            robot.control.reuploadScript()
-            self._core.begin(self._place_mm(robot))
+            self._send_script(robot)
+
+    def _send_script(self, robot: Interfaces) -> None:
+        robot.control.reuploadScript()
+        robot.control.setWatchdog(self._settings.watchdog_hz)
+        self._core.begin(self._place_mm(robot))
+        self._script_ended = False
 
     def _begin(self) -> None:
         robot = self._robot = self._open(self._settings.host, self._settings.rate_hz)
@@ -172,6 +182,8 @@ class UrArm:
         self._measured.begin()
         self._watch = Watch(self._now_s())
         self._stop_asked.clear()
+        self._script_ended = False
+        self._lane = StopLane(robot.stopper)
         self._ends = threading.Event()
         self.cycle(self._now_s())
         if self.fault is not None:
@@ -198,6 +210,9 @@ class UrArm:
         if self._thread is not None:
             self._thread.join()
         self._thread = None
+        if self._lane is not None:
+            self._lane.close()
+            self._lane = None
         robot, self._robot = self._robot, None
         if robot is not None:
             self._still(robot)
@@ -214,15 +229,27 @@ class UrArm:
             try:
                 self._look(robot, now_s)
                 if self._stop_asked.is_set():
-                    self._stop_asked.clear()
-                    self._still(robot)
+                    self._take_stop(robot)
                 elif self.fault is None:
                     self._command(robot, now_s)
                 robot.control.kickWatchdog()
-            except FaultError as error:
-                self._latch(robot, error.fault)
-            except RuntimeError as error:
-                self._latch(robot, link_fault(f"The robot does not answer: {error}."))
+            except (FaultError, RuntimeError) as error:
+                self._fail(robot, error)
+
+    def _fail(self, robot: Interfaces, error: FaultError | RuntimeError) -> None:
+        if self._stop_asked.is_set():
+            # The stop has overtaken this cycle: what the controller refused is what was stopped.
+            self._take_stop(robot)
+        elif isinstance(error, FaultError):
+            self._latch(robot, error.fault)
+        else:
+            self._latch(robot, link_fault(f"The robot does not answer: {error}."))
+
+    def _take_stop(self, robot: Interfaces) -> None:
+        """Take note, with the lock held, that STOP has gone out."""
+        self._stop_asked.clear()
+        self._core.end(STOPPED)
+        self._servoing, self._script_ended = False, True
 
     def _look(self, robot: Interfaces, now_s: float) -> None:
         """Take what the robot tells; raise the fault that it tells of."""
@@ -270,17 +297,7 @@ class UrArm:
 
     def status(self) -> ArmStatus:
         """Return the status words."""
-        if (robot := self._robot) is None:
-            return ArmStatus(RobotMode.DISCONNECTED, SafetyMode.UNKNOWN, 0.0, 0)
-        mode = RobotMode.MOVING if self._core.moving else RobotMode.READY
-        if robot.receive.getRobotMode() != RUNNING:
-            mode = RobotMode.SERVO_OFF
-        safety = SafetyMode.NORMAL
-        if self.fault is not None:
-            safety = SafetyMode.HW_STOP if self.fault.code == "HW-STOP" else SafetyMode.FAULT
-        elif robot.receive.getSafetyMode() == REDUCED:
-            safety = SafetyMode.REDUCED
-        return ArmStatus(mode, safety, robot.receive.getSpeedScaling(), 0)
+        return words_of(self._robot, self.fault, moving=self._core.moving)
 
     def pose(self, max_age_s: float) -> Pose:
         """Return the measured pose; raises ``StaleSampleError`` if it is older."""
@@ -357,10 +374,12 @@ class UrArm:
             self._core.halt()
 
     def stop(self) -> None:
-        """Stop in the next cycle; in every state, from any thread."""
-        with self._lock:
-            self._core.end(STOPPED)
+        """Stop on a connection of its own; in every state, from any thread, waiting for nothing."""
         self._stop_asked.set()
+        if (lane := self._lane) is not None:
+            lane.press()
+        if (program := self._core.program) is not None:
+            program.motion.end(STOPPED)
 
     def _require_link(self) -> Interfaces:
         if self._robot is None or self.state is not DeviceState.READY:
@@ -371,4 +390,11 @@ class UrArm:
         robot = self._require_link()
         if robot.receive.getRobotMode() != RUNNING:
             raise FaultError(servo_off_fault(ARM))
+        if self._lane is not None and not self._lane.settle(SETTLE_S):
+            raise FaultError(link_fault("The robot does not answer to STOP."))
+        with self._lock:
+            if self._stop_asked.is_set():
+                self._take_stop(robot)
+            if self._script_ended:
+                self._send_script(robot)
         return robot

@@ -13,6 +13,7 @@ from typing import Protocol
 from backend.core.faults import Fault, FaultError
 from backend.devices.protocols import Identity
 from backend.devices.streamed.motion import ARM
+from backend.devices.ur.stop_lane import Stopper
 
 RUNNING, NORMAL, REDUCED = 7, 1, 2
 """Robot mode, and the two safety modes in which the arm may move."""
@@ -119,14 +120,15 @@ class Dashboard(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Interfaces:
-    """The three connections of one robot."""
+    """The connections of one robot; ``stopper`` carries STOP alone."""
 
     control: Control
     receive: Receive
     dashboard: Dashboard
+    stopper: Stopper
 
     def close(self) -> None:
-        """Close all of them."""
+        """Close all but the stopper, which its lane closes."""
         for interface in (self.control, self.receive, self.dashboard):
             interface.disconnect()
 
@@ -138,13 +140,16 @@ OpenRobot = Callable[[str, float], Interfaces]
 def open_robot(host: str, rate_hz: float) -> Interfaces:
     """Connect through ``ur_rtde``; raises ``FaultError`` without the package, ``RuntimeError``."""
     try:
-        dashboard = importlib.import_module("dashboard_client").DashboardClient(host)
+        dashboards = [
+            importlib.import_module("dashboard_client").DashboardClient(host) for _ in range(2)
+        ]
         control = importlib.import_module("rtde_control").RTDEControlInterface
         receive = importlib.import_module("rtde_receive").RTDEReceiveInterface
     except ImportError as error:
         raise FaultError(MISSING) from error
-    dashboard.connect()
-    return Interfaces(control(host, rate_hz), receive(host, rate_hz), dashboard)
+    for dashboard in dashboards:
+        dashboard.connect()
+    return Interfaces(control(host, rate_hz), receive(host, rate_hz), *dashboards)
 
 
 def identity_of(dashboard: Dashboard, host: str) -> Identity:

@@ -14,11 +14,13 @@ from backend.core.stream import SampleStream
 from backend.devices.arms import make_arm
 from backend.devices.protocols import DeviceState, RobotMode, SafetyMode
 from backend.devices.sim.bench import SimulatedBench
-from backend.devices.ur import rtde
+from backend.devices.ur import arm as ur_arm
+from backend.devices.ur import rtde, stop_lane
 from backend.devices.ur.arm import UrArm
 from tests.backend.devices import contract_bench, test_arm_contract
 from tests.backend.devices.contract_bench import DevicesUnderTest
 from tests.backend.devices.ur_stand_in import UrWires, hand_leaning
+from tests.backend.devices.waiting import until
 
 TURNING = ("turn", "joint")
 CLAUSES = [
@@ -39,7 +41,7 @@ def wires():
 @pytest.fixture
 def bench(wires):
     made = wires.bench
-    return DevicesUnderTest(
+    yield DevicesUnderTest(
         wires.arm,
         made.gripper,
         made.force_torque,
@@ -49,6 +51,8 @@ def bench(wires):
         still_s=0.3,
         still_mm=0.05,
     )
+    wires.arm.close()
+    until(lambda: not any(t.name == "ur-stop" for t in threading.enumerate()))
 
 
 @pytest.mark.parametrize("clause", CLAUSES, ids=NAMES)
@@ -80,15 +84,45 @@ def test_the_controller_is_told_its_tool_and_keeps_hearing(bench, wires):
     assert wires.robot.commands == []
 
 
-def test_stop_reaches_the_robot_in_the_next_cycle(bench, wires):
+def test_stop_goes_out_beside_everything_else_and_the_next_motion_sends_the_script_again(
+    bench, wires
+):
     bench.connect()
     bench.arm.jog((20.0, 0.0, 0.0), 2.0)
     bench.rest(0.3)
-    asked_s = bench.now_s()
+    robot = wires.robot
+    robot.hangs = threading.Event()
+    # The thread of the cycles waits in the control interface, with the lock of the arm in its hand.
+    stuck = threading.Thread(target=bench.arm.cycle, args=(bench.now_s(),))
+    stuck.start()
+    asked_s, sent = bench.now_s(), len(robot.commands)
     bench.arm.stop()
+    assert bench.arm._lane.settle(10.0)
+    assert stuck.is_alive()
+    assert robot.ended == [asked_s]
+    assert not robot.servoing
+    robot.hangs.set()
+    stuck.join()
+    robot.hangs = None
     bench.rest(0.05)
-    assert wires.robot.stops[-1] - asked_s <= 0.0081
-    assert all(t_s <= asked_s for t_s, _ in wires.robot.commands)
+    assert len(robot.commands) == sent
+    assert bench.arm.state is DeviceState.READY
+    here = bench.arm.pose(1.0)
+    bench.finish(bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 2.0), 20.0))
+    assert robot.program
+    assert bench.arm.pose(1.0).z_mm == pytest.approx(here.z_mm + 2.0, abs=0.1)
+
+
+def test_a_stop_that_is_not_answered_lets_nothing_move(bench, wires, monkeypatch):
+    bench.connect()
+    hangs = threading.Event()
+    monkeypatch.setattr(wires.robot, "stop", hangs.wait)
+    monkeypatch.setattr(ur_arm, "SETTLE_S", 0.01)
+    bench.arm.stop()
+    with pytest.raises(FaultError, match="does not answer to STOP"):
+        bench.arm.jog((1.0, 0.0, 0.0), 1.0)
+    hangs.set()
+    bench.finish(bench.arm.jog((5.0, 0.0, 0.0), 0.2))
 
 
 def broken(robot, how):
@@ -181,6 +215,7 @@ def test_the_package_has_what_the_driver_calls():
         (rtde.Control, control),
         (rtde.Receive, receive),
         (rtde.Dashboard, dashboard),
+        (stop_lane.Stopper, dashboard),
     ):
         for name, method in vars(ours).items():
             if name.startswith("_"):

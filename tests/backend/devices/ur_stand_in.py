@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable
 
 import numpy as np
@@ -35,6 +36,9 @@ class Robot:
         self.commands: list[tuple[float, tuple[float, ...]]] = []
         self.stops: list[float] = []
         self.kicks = 0
+        self.ended: list[float] = []
+        self.hangs: threading.Event | None = None
+        """While it is not set, the control interface answers nothing."""
         self.tcp: list[float] = []
 
     def advance(self, step_s: float) -> None:
@@ -49,6 +53,10 @@ class Robot:
     def servoL(self, pose, speed, acceleration, time, lookahead_time, gain, /):
         assert 0.03 <= lookahead_time <= 0.2
         assert 100 <= gain <= 2000
+        if self.hangs is not None:
+            self.hangs.wait()
+        if not self.program:
+            return False
         self.commands.append((self._now_s(), tuple(pose)))
         self.target_m, self.servoing = np.array(pose[:3]), True
         return self.program
@@ -128,6 +136,12 @@ class Robot:
     def brakeRelease(self):
         self.mode = 7
 
+    def stop(self):
+        self.ended.append(self._now_s())
+        if not self.program:
+            raise RuntimeError("Failed to execute: stop")
+        self.program = self.servoing = False
+
     def powerOff(self):
         self.mode, self.program = 3, False
 
@@ -158,7 +172,7 @@ class UrWires:
 
     def open(self, host: str, rate_hz: float) -> Interfaces:
         assert rate_hz == 1e6 / CYCLE_US
-        return Interfaces(self.robot, self.robot, self.robot)
+        return Interfaces(self.robot, self.robot, self.robot, self.robot)
 
     def true_mm(self):
         return self.placing.pivot_mm(np.array(self.robot.getActualTCPPose()))

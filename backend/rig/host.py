@@ -217,6 +217,8 @@ class RigHost:
                     self._motions.felt.add(number)
                     self._say({"kind": "felt", "motion": number, **_contact(motion)})
                 if motion.done:
+                    # Whoever hears of the end finds the state that goes with it.
+                    self._show(self._now_s(), slow=False)
                     self._end(number, _fault_of(motion))
 
     def _end(self, number: int, fault: Fault | None) -> None:

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 
 import pytest
 
+from backend.core.faults import RefusedError
 from backend.core.flow import Finger
+from backend.devices.interlock import Interlock, Limits
 from backend.devices.protocols import (
     Arm,
     Device,
@@ -21,9 +23,12 @@ from backend.devices.protocols import (
 from backend.devices.sim.bench import SimulatedBench
 from backend.objects.catalogue import load_catalogue
 from backend.objects.tower import Tower
+from backend.rig.host import Devices
+from backend.rig.remote import RigArm, RigForceTorque, RigGripper
 from backend.simulation.scene import Scene
 from tests.backend.brisk import brisk_settings
 from tests.backend.devices.emulated_arm import on_bench
+from tests.backend.rig.inline import ROUND_US, InlineLink
 
 PRESS = PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 11.0, (30.0, 30.0, 15.0))
 
@@ -42,6 +47,12 @@ class DevicesUnderTest:
     """After a stop the arm stands within this time."""
     still_mm: float = 1e-3
     """As exactly as its position is told while it stands stopped."""
+    told_s: float = 0.0
+    """So late it is told that a motion ended, or in which state a device is."""
+    senseless: type[Exception] | tuple[type[Exception], ...] = ValueError
+    """What is raised for an order with a number that makes no sense."""
+    truly_holding: Callable[[], bool] | None = None
+    close: Callable[[], None] = lambda: None
 
     @property
     def all(self) -> list[Device]:
@@ -50,6 +61,14 @@ class DevicesUnderTest:
     def connect(self) -> None:
         for device in self.all:
             device.connect(1.0, threading.Event())
+
+    def hear(self) -> None:
+        """Wait until what has just happened is told."""
+        self.rest(self.told_s)
+
+    def holds(self) -> bool:
+        """Whether the piece is in the jaws, even if the gripper is closed."""
+        return (self.truly_holding or (lambda: self.gripper.status().holding))()
 
     def rest(self, seconds: float) -> None:
         self.advance(round(seconds * 1e6))
@@ -109,8 +128,47 @@ def emulated_arm() -> DevicesUnderTest:
     )
 
 
+def over_the_link() -> DevicesUnderTest:
+    """The simulated ones behind a rig: orders, answers, states and samples cross its link."""
+    bench = SimulatedBench(_scene(FEW_HZ))
+    now_s = bench.clock.now_s
+    # Wide: what the rig refuses by its limits has tests of its own.
+    interlock = Interlock(Limits(turn_rad_s=10.0))
+    interlock.renew_lease(now_s())
+    devices = Devices(
+        bench.arm, bench.gripper, bench.force_torque, bench.force_torque.samples, bench.arm.poses
+    )
+    link = InlineLink(interlock, devices, now_s)
+    link.hello["joint_ranges"] = bench.arm.joint_limits_rad
+    open_ones: set[str] = set()
+
+    def advance(step_us: int) -> None:
+        while step_us > 0:
+            part_us = min(step_us, ROUND_US)
+            step_us -= part_us
+            bench.advance(part_us)
+            interlock.renew_lease(now_s())
+            link.round()
+
+    return DevicesUnderTest(
+        RigArm("arm", link, now_s, open_ones),
+        RigGripper("gripper", link, now_s, open_ones),
+        RigForceTorque("force_torque", link, now_s, open_ones),
+        bench.tactile,
+        now_s,
+        advance,
+        told_s=0.02,
+        senseless=(ValueError, RefusedError),
+        truly_holding=lambda: bench.gripper.status().holding,
+        close=link.host.leave,
+    )
+
+
 EVERY = pytest.mark.parametrize(
-    "bench", [simulated, emulated_arm], ids=["simulated", "emulated arm"], indirect=True
+    "bench",
+    [simulated, emulated_arm, over_the_link],
+    ids=["simulated", "emulated arm", "over the link"],
+    indirect=True,
 )
 ONLY_SIMULATED = pytest.mark.parametrize(
     "bench", [simulated_at_its_rates], ids=["simulated"], indirect=True

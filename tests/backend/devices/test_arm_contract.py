@@ -41,6 +41,7 @@ def test_a_move_arrives_reports_what_was_sent_and_keeps_its_speed(bench: Devices
     poses = bench.arm.poses.window(begun_s, bench.now_s())
     speed = np.linalg.norm(np.diff(poses.values, axis=0), axis=1) / np.diff(poses.t_s)
     assert speed.max() <= 20.0 * 1.05
+    bench.hear()
     assert bench.arm.status().robot_mode is RobotMode.READY
     assert bench.arm.status().safety_mode is SafetyMode.NORMAL
 
@@ -91,6 +92,7 @@ def test_stop_ends_a_press_in_every_phase(bench: DevicesUnderTest, after_s: floa
     bench.rest(after_s)
     assert not motion.done
     bench.arm.stop()
+    bench.hear()
     assert motion.done
     with pytest.raises(FaultError):
         motion.result()
@@ -115,6 +117,7 @@ def test_stop_is_legal_in_every_state(bench: DevicesUnderTest) -> None:
     grip = bench.gripper.grip(10.0)
     bench.rest(0.1)
     bench.gripper.stop()
+    bench.hear()
     with pytest.raises(FaultError):
         grip.result()
     assert not bench.gripper.status().holding
@@ -133,6 +136,7 @@ def test_stop_comes_through_from_another_thread(bench: DevicesUnderTest) -> None
     thread = threading.Thread(target=bench.arm.stop)
     thread.start()
     thread.join(60.0)
+    bench.hear()
     assert motion.done
     bench.rest(1.0)
     assert bench.arm.pose(0.1).z_mm < here.z_mm + 10.0
@@ -145,6 +149,7 @@ def test_a_newer_command_ends_the_older_one(bench: DevicesUnderTest) -> None:
     first = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 30.0), 20.0)
     bench.rest(0.1)
     second = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 5.0), 20.0)
+    bench.hear()
     with pytest.raises(FaultError):
         first.result()
     bench.finish(second)
@@ -159,19 +164,20 @@ def test_closing_the_connection_stops_motion_and_keeps_the_grip(bench: DevicesUn
     bench.rest(0.1)
     bench.arm.close()
     bench.gripper.close()
+    bench.hear()
     assert motion.done
-    assert bench.gripper.status().holding
+    assert bench.holds()
 
 
 @EVERY
 @pytest.mark.parametrize("speed", [0.0, -1.0, float("nan"), float("inf")])
 def test_senseless_numbers_are_refused(bench: DevicesUnderTest, speed: float) -> None:
     bench.lifted_and_gripped()
-    with pytest.raises(ValueError, match="finite"):
+    with pytest.raises(bench.senseless):
         bench.arm.move_to(Pose(0.0, 0.0, 50.0), speed)
-    with pytest.raises(ValueError, match="finite"):
+    with pytest.raises(bench.senseless):
         bench.arm.move_to(Pose(float("nan"), 0.0, 50.0), 10.0)
-    with pytest.raises(ValueError, match="finite"):
+    with pytest.raises(bench.senseless):
         bench.gripper.open_to(50.0, speed)
 
 
@@ -220,7 +226,7 @@ def test_a_jog_without_a_number_is_refused(
     bench: DevicesUnderTest, velocity: tuple[float, float, float]
 ) -> None:
     bench.connect()
-    with pytest.raises(ValueError, match="finite"):
+    with pytest.raises(bench.senseless):
         bench.arm.jog(velocity, 0.1)
     assert bench.arm.rotates in (True, False)
 
@@ -233,6 +239,7 @@ def test_halt_ends_a_move_and_the_next_one_begins_at_once(bench: DevicesUnderTes
     motion = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 60.0), 20.0)
     bench.rest(0.3)
     bench.arm.halt()
+    bench.hear()
     assert motion.done
     with pytest.raises(FaultError):
         motion.result()
@@ -314,6 +321,7 @@ def test_a_joint_jog_turns_that_joint_alone_and_stop_ends_it(bench: DevicesUnder
     assert bench.arm.jog_joints(speeds, 0.14) is motion
     bench.rest(0.1)
     bench.arm.stop()
+    bench.hear()
     assert motion.done
     bench.rest(bench.still_s)
     after = bench.arm.joints_rad(0.1)
@@ -352,11 +360,11 @@ def test_joints_go_to_their_ends_and_never_beyond_their_range(bench: DevicesUnde
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
 def test_a_turn_without_a_number_is_refused(bench: DevicesUnderTest, bad: float) -> None:
     bench.connect()
-    with pytest.raises(ValueError, match="finite"):
+    with pytest.raises(bench.senseless):
         bench.arm.jog(STILL, 0.1, (0.0, bad, 0.0))
-    with pytest.raises(ValueError, match="finite"):
+    with pytest.raises(bench.senseless):
         bench.arm.jog_joints((bad,) * 6, 0.1)
-    with pytest.raises(ValueError, match="finite"):
+    with pytest.raises(bench.senseless):
         bench.arm.move_joints((0.0,) * 6, bad)
 
 
@@ -368,6 +376,7 @@ def test_servo_off_ends_motion_and_moves_nothing_until_it_is_on(bench: DevicesUn
     motion = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 60.0), 20.0)
     bench.rest(0.3)
     bench.arm.servo(False)
+    bench.hear()
     assert motion.done
     bench.rest(0.3)
     assert bench.arm.status().robot_mode is RobotMode.SERVO_OFF
@@ -381,4 +390,5 @@ def test_servo_off_ends_motion_and_moves_nothing_until_it_is_on(bench: DevicesUn
     back = bench.arm.move_to(here, 20.0)
     bench.finish(back)
     back.result()
+    bench.hear()
     assert bench.arm.status().robot_mode is RobotMode.READY

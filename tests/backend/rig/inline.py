@@ -9,11 +9,12 @@ from contextlib import ExitStack
 from backend.assembly import Models, SimulatedBenchChoice, SimulatedScoring, make_scene
 from backend.config.bench_facts import simulated_facts
 from backend.config.method import StackSettings
+from backend.core.faults import FaultError
 from backend.core.stream import SampleStream
 from backend.devices.sim.bench import BenchStreams, SimulatedBench
 from backend.objects.catalogue import load_catalogue
 from backend.rig.host import Devices, RigHost
-from backend.rig.link import LATE_S, RigMotion
+from backend.rig.link import LATE_S, NOT_STARTED, RigMotion
 from backend.rig.memory import BACKEND_BEAT, STOPS, drop, make
 from backend.rig.messages import pack, read_error, read_fault, receive
 from backend.rig.remote import RigArm, RigForceTorque, RigGripper
@@ -33,24 +34,47 @@ def through_json(message):
 class InlineLink:
     """Stands in for the pipe: every order is carried out where it is given."""
 
-    lost, running = None, True
+    lost = None
 
     def __init__(self, interlock, devices, now_s):
         self._interlock, self._numbers = interlock, itertools.count(1)
-        self._answers, self._motions, self._cursor = {}, {}, 0
+        self._answers, self._motions, self._cursors = {}, {}, [0, 0]
+        self._stops = self._faults = 0
+        self._rows = {}
         self.refused, self.hello = [], {"joint_ranges": [[-3.0, 3.0]] * 6}
         self.memory, path = make()
         drop(path)
         self.host = RigHost(devices, interlock.limits, now_s, self.memory, self._hear)
+        self.samples, self.poses = SampleStream("wrench", 6, 8192), SampleStream("arm", 3, 8192)
+        self.running = False
 
-    def round(self, poses):
+    def start(self):
+        self.running = True
+
+    def close(self):
+        self.running = False
+
+    def settle(self):
+        self._cursors[1] = self.memory.poses.count
+        self.poses.clear()
+
+    def round(self):
         self.memory.beat(BACKEND_BEAT)
         self.memory.permit(self._interlock.lease_until_s)
         self.host.round()
-        t_s, values, self._cursor = self.memory.poses.since(self._cursor)
-        poses.put(t_s, values)
+        pairs = ((self.memory.wrench, self.samples), (self.memory.poses, self.poses))
+        for k, (ring, stream) in enumerate(pairs):
+            t_s, values, self._cursors[k] = ring.since(self._cursors[k])
+            # Where the rig's own stream is that of the session, nothing has to be copied.
+            if len(t_s) and stream is not self.host.devices.samples:
+                stream.put(t_s, values)
 
     def order(self, name, **arguments):
+        if not self.running:
+            raise FaultError(NOT_STARTED)
+        if not self._interlock.latched:
+            told = {"kind": "reset", "stops": self._stops, "faults": self._faults}
+            self.host.take(through_json(told))
         number = next(self._numbers)
         order = {"kind": "order", "id": number, "order": name, "args": arguments}
         lease = {"lease_until_s": self._interlock.lease_until_s}
@@ -67,19 +91,28 @@ class InlineLink:
         return self._motions.setdefault(answer["motion"], RigMotion(answer["sent"]))
 
     def stop(self):
-        self.memory.beat(STOPS)
+        if self.running:
+            self._stops += 1
+            self.memory.beat(STOPS)
+            self.host.take({"kind": "stop", "stops": self._stops})
+
+    def cancel(self):
+        self.host.take({"kind": "cancel"})
 
     def stop_gripper(self):
         self.host.take({"kind": "stop gripper"})
 
     def row(self, device):
-        return (self.memory.seen() or {}).get(device, {})
+        # While a state is being written the last one counts.
+        self._rows = self.memory.seen() or self._rows
+        return self._rows.get(device, {})
 
     def _hear(self, message):
         message = through_json(message)
         if message["kind"] == "reply":
             self._answers[message["id"]] = message
         elif message["kind"] == "fault":
+            self._faults = message["number"]
             self._interlock.raise_fault(read_fault(message["fault"]))
         elif (motion := self._motions.get(message["motion"])) is not None:
             motion.detected_s, motion.onset_s = message["detected_s"], message["onset_s"]
@@ -120,13 +153,14 @@ class InlineBench:
         devices = Devices(driver, bench.gripper, bench.force_torque, raw.samples, driver.poses)
         link = InlineLink(self.session.interlock, devices, now_s)
         link.samples, link.poses = raw.samples, raw.poses
+        link.start()
         self.links.append(link)
         self._ends.callback(link.host.leave)
 
         def advance(step_us):
             for _ in range(step_us // ROUND_US):
                 wires.advance(ROUND_US)
-                link.round(raw.poses)
+                link.round()
 
         advance(5 * ROUND_US)
         open_ones = {"arm", "gripper", "force_torque"}

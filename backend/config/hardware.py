@@ -165,6 +165,8 @@ class UrSettings(Settings):
     sensor_lag_ms: NonNegative = 16.0
     watchdog_hz: Positive = 10.0
     """The controller stops by itself if it hears less often."""
+    rated: Six = (50.0, 50.0, 50.0, 10.0, 10.0, 10.0)
+    """Range of the built-in sensor, N and N·m: that of a UR5e."""
 
 
 class WsgSettings(Settings):
@@ -203,7 +205,7 @@ class ForceTorqueSettings(Settings):
     """Which wrist sensor, and how it sits."""
 
     driver: Annotated[str, Field(min_length=1)] = "melfa"
-    """melfa, dynpick, leptrino, ft300, bota, optoforce, netft, or one that an entry point adds."""
+    """melfa, dynpick, leptrino, ft300, bota, optoforce, netft, ur, or one of an entry point."""
     address: str = ""
     """Path of a serial port, ``socket://host:port`` or ``udp://host:port``."""
     rotation: tuple[Row, Row, Row] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

@@ -19,6 +19,7 @@ from backend.devices.force_torque.netft import NetFtLanguage
 from backend.devices.force_torque.optoforce import OptoforceLanguage
 from backend.devices.force_torque.reader import ForceTorqueReader
 from backend.devices.force_torque.readout import LATE_S
+from backend.devices.force_torque.ur_builtin import SCHEME, UrLanguage, open_rtde
 from backend.devices.offered import find_offered
 
 GROUP = "touchdown.force_torque"
@@ -33,6 +34,7 @@ LANGUAGES: dict[str, LanguageMaker] = {
     "optoforce": OptoforceLanguage,
     "netft": NetFtLanguage,
     "melfa": MelfaLanguage,
+    "ur": UrLanguage,
 }
 
 
@@ -45,6 +47,8 @@ def make_force_torque(
     address = settings.ft.address
     if not address and settings.ft.driver == "melfa":
         address = monitor_address(settings)
+    if not address and settings.ft.driver == "ur":
+        address = SCHEME + settings.ur.host
     if not address:
         raise InputError(
             "The sensor has no address.", "ft.address", "Name its serial port or host."
@@ -54,6 +58,8 @@ def make_force_torque(
     maker()  # what the settings lack is told now, not at the first connection
 
     def link(language: Language) -> Link:
+        if address.startswith(SCHEME):
+            return open_rtde(settings, address)
         return open_link(address, baud=language.baud, chunk=language.chunk)
 
     late_s = LATE_S if "://" in address else max(LATE_S, 1e-3 * settings.serial.latency_ms)

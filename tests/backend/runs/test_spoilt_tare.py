@@ -1,0 +1,63 @@
+"""A tare that is spoilt is taken again, for so long and no longer; none is pressed on."""
+
+from __future__ import annotations
+
+from backend.core.facts import Fact, FaultRaised, PhaseEntered, TrialFinished
+from backend.core.flow import Outcome
+from backend.runs.motions import REFERENCE_S
+from backend.simulation.disturbances import Disturbance, Script
+from tests.backend.runs.oracle_bench import OracleSession, request
+
+BURST_S, EVERY_S = 0.15, 0.25
+"""Shorter than what counts as silent, and no window of a tare is free of it."""
+
+
+def spoil(bench: OracleSession, bursts: int) -> list[float]:
+    """Let so many bursts without a number begin with the first reference; return when it began."""
+    began: list[float] = []
+
+    def hear(fact: Fact) -> None:
+        if isinstance(fact, PhaseEntered) and fact.phase == "reference" and not began:
+            began.append(fact.t_s)
+            # The first one lies in the window of the first try.
+            at = [fact.t_s + 0.4 + EVERY_S * n for n in range(bursts)]
+            found = (Disturbance("force_torque", "nan", t_s, BURST_S) for t_s in at)
+            bench.benches[-1]._script = Script(tuple(found))
+
+    bench.session.hub.subscribe(hear)
+    return began
+
+
+def approaches(bench: OracleSession) -> list[float]:
+    """When the descents to a probe began."""
+    return [f.t_s for f in bench.of(PhaseEntered) if getattr(f, "phase", "") == "approach"]
+
+
+def test_a_spoilt_tare_is_taken_again() -> None:
+    bursts = 3
+    bench = OracleSession()
+    began = spoil(bench, bursts)
+
+    def enough(fact: Fact) -> None:
+        if isinstance(fact, PhaseEntered) and fact.phase == "approach":
+            bench.session.stop()
+
+    bench.session.hub.subscribe(enough)
+    bench.session.run(request(trials=1))
+    assert bench.session.interlock.faults == ()
+    # Not before the bursts had left the window.
+    assert approaches(bench)[0] > began[0] + 0.4 + EVERY_S * (bursts - 1) + BURST_S
+
+
+def test_a_tare_that_stays_spoilt_ends_the_run_before_a_probe() -> None:
+    bench = OracleSession()
+    began = spoil(bench, 40)
+    bench.session.run(request(trials=1))
+    end = bench.of(TrialFinished)[-1]
+    assert isinstance(end, TrialFinished)
+    assert end.outcome is Outcome.ABORTED
+    assert [fault.code for fault in bench.session.interlock.faults] == ["TARE-REFUSED"]
+    assert approaches(bench) == []
+    (told,) = bench.of(FaultRaised)
+    assert REFERENCE_S <= told.t_s - began[0] <= REFERENCE_S + 2.0
+    assert bench.benches[-1].gripper.status().holding

@@ -18,6 +18,7 @@ from backend.core.facts import Fact, TrialFinished
 from backend.core.flow import FloatArray
 from backend.dataset.pack_file import write_packs
 from backend.dataset.rows import TrainingRows, join_rows, load_rows, patch_hex
+from backend.experiments import asking
 from backend.experiments.beyond import beyond
 from backend.experiments.closed_loop import pick_and_place_in_lockstep, stack_in_lockstep
 from backend.experiments.collection import jobs_of, metadata_of, rows_of
@@ -282,4 +283,6 @@ KINDS: Kinds = {
     "devices": devices,
     "twins": twins,
     "beyond": beyond,
+    "asked-presses": asking.presses,
+    "asked-trials": asking.trials,
 }

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 
 from backend.core.faults import InputError
+from backend.verbs.experiment_asked import ASKED, add_asked_arguments, ask
 from backend.verbs.screen import Screen
 
 if TYPE_CHECKING:
@@ -31,8 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
         "what",
-        choices=("tables", "beyond"),
-        help="the paper's Tables I to III; or strategies beyond the paper, and the ceiling",
+        choices=("tables", "beyond", *ASKED),
+        help="the paper's Tables I to III; strategies beyond the paper, and the ceiling; all that "
+        "in a second simulated world; or what each nuisance of the bench costs",
     )
     scale = parser.add_mutually_exclusive_group()
     scale.add_argument(
@@ -74,6 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     beyond.add_argument("--bottoms", default="short,long", help="or hex20, rect12x28 "
                         "(default: %(default)s)")  # fmt: skip
     beyond.add_argument("--trials", type=int, default=50, help="of a cell (default: %(default)s)")
+    add_asked_arguments(parser)
 
 
 def run(args: argparse.Namespace, screen: Screen) -> int:
@@ -87,6 +90,10 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     store = JobStore(_folder(args.out) / "jobs")
     if args.what == "beyond":
         return _run_beyond(args, screen, store)
+    if args.what in ASKED:
+        answer = ask(args, screen, store, lambda j, e: _done(j, e, args, screen, store))
+        screen.result({"version": JSON_VERSION, **answer})
+        return 1 if answer["failed"] else 0
     recipe = _recipe(args, store)
     jobs = recipe.jobs()
     failed = _done(jobs, recipe.effort, args, screen, store)

@@ -1,0 +1,153 @@
+"""How much each nuisance of the bench costs: one at a time, from nothing to three times its size.
+
+Every factor is asked on the same seeds, so that differences are paired by group.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from backend.config.bench_facts import bench_sha256
+from backend.config.simulation import SimulationSettings
+from backend.experiments.asking import Place, presses_jobs, trials_jobs
+from backend.experiments.beyond import counted
+from backend.experiments.elsewhere import interval, press_figures
+from backend.experiments.nuisances import FACTORS, NUISANCES, Nuisance, scaled
+from backend.jobs.spec import JobSpec
+from backend.jobs.store import JobStore
+from backend.learning.metrics import Z_95
+
+FORMAT = "touchdown-sensitivity/1"
+Json = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Sensitivity:
+    """What to ask. ``model``: job or file it comes from; ``groups`` and ``trials`` per bottom."""
+
+    bench: SimulationSettings
+    code: str
+    piece: str
+    model: str
+    bottoms: tuple[str, ...] = ("short", "long")
+    strategy: str = "paper"
+    groups: int = 20
+    trials: int = 0
+    nuisances: tuple[Nuisance, ...] = NUISANCES
+
+    def jobs(self) -> list[JobSpec]:
+        """Return every job once; the ends of the range come before what lies between."""
+        order = sorted(FACTORS, key=lambda factor: (factor != 1.0, factor not in FACTORS[::4]))
+        found: dict[str, JobSpec] = {}
+        for factor in order:
+            for nuisance in self.nuisances:
+                for jobs in self._cell(nuisance, factor):
+                    found |= {spec.id: spec for spec in jobs}
+        return list(found.values())
+
+    def answer(self, store: JobStore) -> Json:
+        """Return what is finished: for each nuisance a row per factor."""
+        return {
+            "format": FORMAT,
+            "simulated": True,
+            "bench_sha256": bench_sha256(self.bench),
+            "code": self.code,
+            "piece": self.piece,
+            "bottoms": list(self.bottoms),
+            "model": self.model,
+            "strategy": self.strategy,
+            "nuisances": [
+                {
+                    "name": nuisance.name,
+                    "title": nuisance.title,
+                    "keys": list(nuisance.keys),
+                    "limit": nuisance.limit,
+                    "at": list(self._rows(nuisance, store)),
+                }
+                for nuisance in self.nuisances
+            ],
+        }
+
+    def _rows(self, nuisance: Nuisance, store: JobStore) -> Iterator[Json]:
+        reference, _ = self._cell(nuisance, 1.0)
+        for factor in FACTORS:
+            asked, tried = self._cell(nuisance, factor)
+            presses, trials = _done(asked, store), _done(tried, store)
+            if not presses:
+                continue
+            row: Json = {"factor": factor, **press_figures(presses, _MODEL)}
+            both = [
+                (store.result(a.id), store.result(b.id))
+                for a, b in zip(reference, asked, strict=True)
+                if store.has(a.id) and store.has(b.id)
+            ]
+            row["iou_change"] = _change(both)
+            if trials:
+                row["trials"] = counted([trial for part in trials for trial in part["trials"]])
+            yield row
+
+    def _cell(self, nuisance: Nuisance, factor: float) -> tuple[list[JobSpec], list[JobSpec]]:
+        # At the bench's own size it is the bench itself, whichever nuisance is meant.
+        bench = self.bench if factor == 1.0 else scaled(self.bench, nuisance, factor)
+        place = Place("bench", bench)
+        presses: list[JobSpec] = []
+        trials: list[JobSpec] = []
+        for bottom in self.bottoms:
+            pair = (self.piece, bottom)
+            presses += presses_jobs(place, pair, {_MODEL: self.model}, self.groups, self.code)
+            strategy = (self.strategy, self.model)
+            trials += trials_jobs(place, pair, strategy, self.trials, self.code)
+        return presses, trials
+
+
+_MODEL = "FT+Tac"
+
+
+def sensitivity_rows(answer: Json) -> list[tuple[str, ...]]:
+    """Return per nuisance its change of IoU at each factor, and stability right at the ends."""
+    rows = []
+    for nuisance in answer["nuisances"]:
+        at = {row["factor"]: row for row in nuisance["at"]}
+        changes = [_signed(at.get(factor, {}).get("iou_change")) for factor in FACTORS]
+        right = [
+            interval(at[f]["stable_1"]["accuracy"]) if f in at else "" for f in (0.0, 1.0, 3.0)
+        ]
+        rows.append((nuisance["title"], *changes[:2], *changes[3:], *right))
+    return rows
+
+
+def _done(jobs: Sequence[JobSpec], store: JobStore) -> list[Mapping[str, Any]]:
+    return [store.result(spec.id) for spec in jobs if store.has(spec.id)]
+
+
+def _change(pairs: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> Json:
+    """Return the mean change of IoU with its 95 % interval, over groups that both kept.
+
+    A job in which a group was left out is not compared: its groups no longer match.
+    """
+    change = [
+        after - before
+        for then, now in pairs
+        if then["left_out"] == now["left_out"] == 0
+        for before, after in zip(_iou(then), _iou(now), strict=True)
+    ]
+    if len(change) < 2:
+        return {"value": None, "low": None, "high": None, "n": len(change)}
+    centre, half = float(np.mean(change)), Z_95 * float(np.std(change, ddof=1)) / len(change) ** 0.5
+    return {"value": centre, "low": centre - half, "high": centre + half, "n": len(change)}
+
+
+def _iou(part: Mapping[str, Any]) -> list[float]:
+    found: list[float] = part["models"][_MODEL]["iou"]
+    return found
+
+
+def _signed(change: Json | None) -> str:
+    if not change or change["value"] is None:
+        return ""
+    half = 50.0 * (change["high"] - change["low"])
+    return f"{100 * change['value']:+.1f} ± {half:.1f}"

@@ -91,16 +91,28 @@ class Beyond:
             if not (strategy in CEILINGS and bottom in TOWERS)
         ]
 
-    def table(self, store: JobStore) -> Json:
-        """Return the counts of all finished trials, by cell and pooled by strategy."""
+    def trials_of(self, store: JobStore) -> dict[tuple[str, str, str], list[Json]]:
+        """Return all finished trials by strategy, piece and bottom."""
         cells: dict[tuple[str, str, str], list[Json]] = {}
-        left_out: dict[tuple[str, str, str], int] = {}
         for spec in self.jobs():
             p = spec.params
-            answer = store.result(spec.id) if store.has(spec.id) else {"trials": []}
+            trials = store.result(spec.id)["trials"] if store.has(spec.id) else []
+            cells.setdefault((p["strategy"], p["piece"], p["bottom"]), []).extend(trials)
+        return cells
+
+    def left_out(self, store: JobStore) -> dict[tuple[str, str, str], int]:
+        """Return on how many towers no trial could be made, likewise."""
+        found: dict[tuple[str, str, str], int] = {}
+        for spec in self.jobs():
+            p = spec.params
             cell = p["strategy"], p["piece"], p["bottom"]
-            cells.setdefault(cell, []).extend(answer["trials"])
-            left_out[cell] = left_out.get(cell, 0) + answer.get("left_out", 0)
+            none = store.result(spec.id)["left_out"] if store.has(spec.id) else 0
+            found[cell] = found.get(cell, 0) + none
+        return found
+
+    def table(self, store: JobStore) -> Json:
+        """Return the counts of all finished trials, by cell and pooled by strategy."""
+        cells, left_out = self.trials_of(store), self.left_out(store)
         return {
             "format": "touchdown-beyond/1",
             "bench_sha256": bench_sha256(self.bench),
@@ -117,24 +129,12 @@ class Beyond:
                 for (s, piece, bottom), trials in cells.items()
             ],
             "pooled": [
-                {"strategy": s, **counted([t for k, v in cells.items() if k[0] == s for t in v])}
+                {"strategy": s, "tower": tower, **counted(trials)}
                 for s in self.strategies
+                for tower, bottoms in (("one", SINGLE), ("two", TOWERS))
+                if (trials := _of(cells, s, bottoms))
             ],
         }
-
-    def rows(self, table: Json) -> list[tuple[str, ...]]:
-        """Return a table's cells, then its pooled counts, in words."""
-        return [
-            (
-                " ".join((c["strategy"], c.get("piece", "pooled"), c.get("bottom", ""))).strip(),
-                str(c["placed"]["n"]),
-                _share(c["placed"]),
-                _share(c["unsafe"]),
-                ", ".join(f"{word} {n}" for word, n in c["outcomes"].items()),
-                "" if c["probes"] is None else f"{c['probes']:.1f}",
-            )
-            for c in (*table["cells"], *table["pooled"])
-        ]
 
     @staticmethod
     def effort(spec: JobSpec) -> int:
@@ -159,6 +159,15 @@ class Beyond:
         return JobSpec("beyond", params, seed, (source,) if source else (), self.code)
 
 
+def _of(
+    cells: Mapping[tuple[str, str, str], Sequence[Json]], strategy: str, bottoms: tuple[str, ...]
+) -> list[Json]:
+    """Return all trials of a strategy over some bottoms."""
+    return [
+        t for (s, _, b), trials in cells.items() if s == strategy and b in bottoms for t in trials
+    ]
+
+
 def counted(trials: Sequence[Mapping[str, Any]]) -> Json:
     """Count outcomes: placed, unsafe releases, probes of the placed, and how many were spare."""
     outcomes = [trial["outcome"] for trial in trials]
@@ -171,13 +180,6 @@ def counted(trials: Sequence[Mapping[str, Any]]) -> Json:
         "probes": float(np.mean([t["probes"] for t in placed])) if placed else None,
         "excess_probes_median": float(np.median(spare)) if spare else None,
     }
-
-
-def _share(estimate: Json) -> str:
-    if estimate["value"] is None:
-        return ""
-    value, low, high = (100 * estimate[key] for key in ("value", "low", "high"))
-    return f"{value:.1f} ({low:.1f} to {high:.1f})"
 
 
 def beyond(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
@@ -195,14 +197,14 @@ def beyond(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
     elif strategy == "pick-and-place":
         ends = pick_and_place_in_lockstep(scenes, method, limits)
     elif strategy in CEILINGS:
-        knowing = _knowing(case, diameter_known=strategy == CEILINGS[0])
-        ends = stack_in_lockstep(scenes, _no_model(case), method, limits, knowing)
+        begun = knowing(case, diameter_known=strategy == CEILINGS[0])
+        ends = stack_in_lockstep(scenes, no_model(case), method, limits, begun)
     else:
         model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
         chosen = StackSettings.model_validate({**p["method"], "strategy": strategy})
         sigma_mm = p.get("entry_sigma_mm")
-        begun = None if sigma_mm is None else _told(case, sigma_mm, chosen, model)
-        ends = stack_in_lockstep(scenes, model, chosen, limits, begun)
+        told = None if sigma_mm is None else _told(case, sigma_mm, chosen, model)
+        ends = stack_in_lockstep(scenes, model, chosen, limits, told)
     return {
         "bench_sha256": bench_sha256(bench),
         "left_out": p["trials"] - len(scenes),
@@ -246,12 +248,13 @@ def _told(
     return begun
 
 
-def _knowing(case: Case, *, diameter_known: bool) -> Callable[[Scene, XY], Reasoner]:
+def knowing(case: Case, *, diameter_known: bool) -> Callable[[Scene, XY], Reasoner]:
+    """Return how the ceiling begins a trial."""
     setting = Setting(case.piece, case.bottoms[0], case.settings, diameter_known)
     return lambda scene, at: CeilingReasoner(setting, at, scene.seed)
 
 
-def _no_model(case: Case) -> Model:
+def no_model(case: Case) -> Model:
     """Return a model that answers nothing: the ceiling reads the signals themselves."""
     points = face_points(case.piece.face)
     return Model(lambda seen: np.full((len(seen), len(points)), 0.5), points, None)

@@ -30,8 +30,13 @@ class Reliability:
         return float((gap * weight).sum() / weight.sum())
 
 
-def reliability(probability: FloatArray, truth: NDArray[np.bool_], bins: int = BINS) -> Reliability:
-    """Sort ``probability`` (n,) into ``bins`` of equal mass and compare with ``truth`` (n,)."""
+def reliability(
+    probability: FloatArray, truth: NDArray[np.bool_] | FloatArray, bins: int = BINS
+) -> Reliability:
+    """Sort ``probability`` (n,) into ``bins`` of equal mass and compare with ``truth`` (n,).
+
+    A share in place of a truth stands for cases that were counted together.
+    """
     order = np.argsort(probability, kind="stable")
     parts = [part for part in np.array_split(order, bins) if len(part)]
     return Reliability(

@@ -73,6 +73,10 @@ class CeilingReasoner:
         """Whether the risk of letting go there is small."""
         return self._at_risk_mm(offset_mm) >= 0.0
 
+    def likely_at(self, offset_mm: XY) -> bool:
+        """Whether it would stand in most worlds."""
+        return bool(np.median(self.margins_mm(offset_mm)) > 0.0)
+
     def _at_risk_mm(self, here: XY) -> float:
         margin = self.margins_mm(here)
         return float(margin.mean() - RISK_SD * margin.std())

@@ -26,6 +26,7 @@ from backend.experiments.distribution import find_twins, held, largest_marker_px
 from backend.experiments.film import film_strip
 from backend.experiments.given_models import WEIGHTS, load_model
 from backend.experiments.models import batch_model
+from backend.experiments.promises import promises
 from backend.experiments.scenes import Case, start_scene
 from backend.experiments.scoring import fused_verdicts, patch_scores
 from backend.experiments.statics import Groups, join_groups, probe_groups
@@ -283,6 +284,7 @@ KINDS: Kinds = {
     "devices": devices,
     "twins": twins,
     "beyond": beyond,
+    "promises": promises,
     "asked-presses": asking.presses,
     "asked-trials": asking.trials,
 }

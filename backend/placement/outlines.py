@@ -88,6 +88,13 @@ class OutlineReasoner:
         margin_mm = outlines.margin_mm(self._com_at(offset_mm), rules.risk, self._held.below)
         return margin_mm >= rules.inset_mm
 
+    def likely_at(self, offset_mm: XY) -> bool:
+        """Judge by the median margin there."""
+        outlines = self._outlines
+        if outlines is None:
+            return False
+        return outlines.margin_mm(self._com_at(offset_mm), 0.5, self._held.below) > 0.0
+
     def _com_at(self, offset_mm: XY) -> XY:
         com = self._held.com_xy_mm
         return offset_mm[0] + com[0], offset_mm[1] + com[1]

@@ -79,6 +79,9 @@ class Reasoner(Protocol):
     def stable_at(self, offset_mm: XY) -> bool:
         """Whether all probes so far would have it released with the face at ``offset_mm``."""
 
+    def likely_at(self, offset_mm: XY) -> bool:
+        """Whether it would there rather stand than fall, whatever risk a release may take."""
+
 
 class PaperReasoner:
     """Ota et al.: independent cells, hull of the confident ones, step towards its middle."""
@@ -104,3 +107,7 @@ class PaperReasoner:
             return False
         com, rules = self._held.com_xy_mm, self._settings.stability
         return judge(self._belief, self._patch, com, offset_mm, rules).stable
+
+    def likely_at(self, offset_mm: XY) -> bool:
+        """Judge alike: it tells stable from not stable in one way only."""
+        return self.stable_at(offset_mm)

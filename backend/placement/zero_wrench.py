@@ -56,6 +56,10 @@ class ZeroWrenchReasoner:
         there = [a for place, a in self._felt if math.dist(place, offset_mm) <= nearest_mm]
         return bool(there) and self._vanishes(there[-1])
 
+    def likely_at(self, offset_mm: XY) -> bool:
+        """Judge alike: there is no belief that could be weighed otherwise."""
+        return self.stable_at(offset_mm)
+
     def _vanishes(self, apart_mm: float) -> bool:
         return apart_mm <= self._settings.zero_wrench.release_mm
 

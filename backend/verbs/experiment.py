@@ -16,7 +16,7 @@ from backend.verbs.experiment_asked import ASKED, add_asked_arguments, ask
 from backend.verbs.screen import Screen
 
 if TYPE_CHECKING:
-    from backend.experiments.beyond import Beyond
+    from backend.experiments.compared import Compared
     from backend.experiments.recipes import Recipe
     from backend.jobs.executor import Executor
     from backend.jobs.spec import JobSpec
@@ -71,12 +71,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cluster", metavar="ADDRESS", help="scheduler of the executor dask")
     parser.add_argument("--shard", metavar="i/n", help="do every n-th job only, for batch queues")
     beyond = parser.add_argument_group("beyond")
-    beyond.add_argument("--strategies", default="paper,outlines,pressure", help="or ceiling, "
-                        "ceiling-diameter, pick-and-place (default: %(default)s)")  # fmt: skip
-    beyond.add_argument("--bottoms", default="short,long", help="or hex20, rect12x28 "
+    beyond.add_argument("--strategies", default="paper,outlines,pressure", help="or looking, "
+                        "zero-wrench, ceiling, ceiling-diameter, pick-and-place "
+                        "(default: %(default)s)")  # fmt: skip
+    beyond.add_argument("--bottoms", default="short,long", help="or hex20, rect12x28, and towers "
+                        "short+long, short+hex20, short+rect12x28 "
                         "(default: %(default)s)")  # fmt: skip
     beyond.add_argument("--trials", type=int, default=50, help="of a cell (default: %(default)s)")
     add_asked_arguments(parser)
+    beyond.add_argument("--statics", type=int, default=0, metavar="GROUPS", help="also ask each "
+                        "strategy at so many places of a cell, after 1 to 5 probes")  # fmt: skip
+    beyond.add_argument("--entry-sigma", type=float, default=1.0, metavar="MM", help="how well the "
+                        "operator knows where the upper bottom of a tower stands "
+                        "(default: %(default)s)")  # fmt: skip
+    beyond.add_argument("--no-entry", action="store_true", help="nobody tells strategies of the "
+                        "lower bottom")  # fmt: skip
 
 
 def run(args: argparse.Namespace, screen: Screen) -> int:
@@ -145,29 +154,33 @@ def _done(
 def _run_beyond(args: argparse.Namespace, screen: Screen, store: JobStore) -> int:
     """Compare strategies; writes ``beyond.json`` with all that is finished by now."""
     from backend.core.files import write_atomically
+    from backend.experiments.compared import sheets
 
     plan = _beyond(args, store)
     jobs = plan.jobs()
     failed = _done(jobs, plan.effort, args, screen, store)
-    answer = plan.table(store)
+    answer = plan.answer(store)
     missing = sum(not store.has(spec.id) for spec in jobs)
     path = args.out / "beyond.json"
     write_atomically(path, json.dumps(answer, indent=1, sort_keys=True).encode() + b"\n")
-    table = Table(title="Closed loop on bench-v1, simulated; 95 % intervals")
-    for column in ("strategy", "trials", "placed %", "unsafe %", "outcomes", "probes"):
-        table.add_column(column)
-    for row in plan.rows(answer):
-        table.add_row(*row)
-    screen.show(table)
+    for sheet in sheets(answer):
+        table = Table(title=sheet.title)
+        for column in sheet.columns:
+            table.add_column(column)
+        for row in sheet.rows:
+            table.add_row(*row)
+        screen.show(table)
     screen.result({"version": JSON_VERSION, "file": str(path), "jobs": len(jobs),
                    "missing": missing, "failed": failed, "beyond": answer})  # fmt: skip
     return 1 if failed else 0
 
 
-def _beyond(args: argparse.Namespace, store: JobStore) -> Beyond:
+def _beyond(args: argparse.Namespace, store: JobStore) -> Compared:
     from backend.config.simulation import load_simulation
     from backend.experiments.beyond import BOTTOMS, STRATEGIES, Beyond
+    from backend.experiments.compared import Compared
     from backend.experiments.given_models import adopt_models, models_that_ship
+    from backend.experiments.promises import Promises
     from backend.experiments.recipes import PIECES
     from backend.experiments.writing import program_version
 
@@ -175,9 +188,13 @@ def _beyond(args: argparse.Namespace, store: JobStore) -> Beyond:
     bench = load_simulation(args.bench, None if args.bench else args.preset)
     folders = [args.models] if args.models else models_that_ship(bench.preset)
     found = adopt_models(store, *folders)
-    if args.trials < 1:
+    if args.trials < (0 if args.statics else 1):
         raise InputError("--trials must be at least 1.", "--trials", "Give a positive number.")
-    return Beyond(
+    if args.statics < 0:
+        raise InputError("--statics is negative.", "--statics", "Give 0 or a positive number.")
+    if not args.entry_sigma > 0.0:
+        raise InputError("--entry-sigma must be positive.", "--entry-sigma", "Give it in mm.")
+    loops = Beyond(
         bench=bench,
         code=program_version(),
         models={piece: found[piece, "FT+Tac"] for piece in pieces},
@@ -185,7 +202,14 @@ def _beyond(args: argparse.Namespace, store: JobStore) -> Beyond:
         bottoms=_named(args.bottoms, BOTTOMS, "--bottoms"),
         strategies=_named(args.strategies, STRATEGIES, "--strategies"),
         trials=args.trials,
+        entry_sigma_mm=None if args.no_entry else args.entry_sigma,
     )
+    said = None
+    if args.statics:
+        said = Promises(
+            bench, loops.code, loops.models, pieces, loops.bottoms, loops.strategies, args.statics
+        )
+    return Compared(loops, said)
 
 
 def _named(text: str, known: tuple[str, ...], where: str) -> tuple[str, ...]:

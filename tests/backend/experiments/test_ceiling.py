@@ -16,6 +16,7 @@ from backend.core.flow import ContactPatch
 from backend.experiments import worlds
 from backend.experiments.beyond import CHUNK, Beyond, beyond, counted, least_probes
 from backend.experiments.ceiling import FIRST_STEPS, NEXT_STEPS, CeilingReasoner, likely, moved
+from backend.experiments.compared import sheets
 from backend.experiments.recipes import QUICK, Recipe
 from backend.experiments.scenes import Case, start_scene
 from backend.experiments.worlds import Setting, Worlds, feel
@@ -183,7 +184,11 @@ def test_letting_go_untested_falls_from_every_start(
     (cell,) = plan.table(store)["cells"]
     assert cell["unsafe"]["n"] == 2
     assert cell["placed"]["value"] == 0.0
-    assert len(plan.rows(plan.table(store))) == 2
+    (sheet,) = sheets({**plan.table(store), "gaps": []})
+    assert [row[0] for row in sheet.rows] == [
+        "pick-and-place pot hex20",
+        "pick-and-place pooled one bottom",
+    ]
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from backend.config.method import BeliefSettings, OutlineSettings, StackSettings
+from backend.config.method import BeliefSettings, StackSettings
 from backend.core.faults import InputError
 from backend.core.flow import ContactPatch, FloatArray
 from backend.objects.shapes import circle, regular
@@ -103,10 +103,11 @@ def test_a_press_pulls_the_support_to_where_it_acted() -> None:
     assert with_it.action.step_mm[0] < -1.0
 
 
-def test_it_walks_to_the_support_and_releases_only_over_it() -> None:
+@pytest.mark.parametrize("strategy", ["pressure", "looking"])
+def test_it_walks_to_the_support_and_releases_only_over_it(strategy: str) -> None:
     # Nobody tells it that the disc of 20 mm lies at (9, 4).
     centre, here = (9.0, 4.0), (0.0, 0.0)
-    reasoner = begin(HELD, SETTINGS.model_copy(update={"outlines": OutlineSettings()}), here)
+    reasoner = begin(HELD, SETTINGS.model_copy(update={"strategy": strategy}), here)
     for _ in range(8):
         middle = (
             min(max(centre[0] - here[0], -3.0), 3.0),

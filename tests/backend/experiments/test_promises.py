@@ -1,0 +1,128 @@
+"""What strategies say before a release: answers of known groups, shares of a known way, and one
+cell of each kind from end to end.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from backend.config.simulation import SimulationSettings, load_simulation
+from backend.experiments.beyond import Beyond, beyond
+from backend.experiments.compared import Compared, sheets
+from backend.experiments.gap import gaps
+from backend.experiments.given_models import adopt_models, models_that_ship
+from backend.experiments.promises import STEPS, Promises, chart_of, promises, scores
+from backend.experiments.recipes import QUICK, TWO, Recipe
+from backend.jobs.running import run_job
+from backend.jobs.store import JobStore
+
+Json = dict[str, Any]
+NS = ("1", "2", "3", "5")
+
+
+@pytest.fixture(scope="module")
+def bench_v1() -> SimulationSettings:
+    return load_simulation(preset="bench-v1")
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> JobStore:
+    return JobStore(tmp_path)
+
+
+def answer(says: list[bool], likely: list[bool], margins: list[float | None]) -> Json:
+    counts = np.zeros((3, STEPS))
+    counts[:, [40, 360]] = [[10, 10], [1, 10], [1.0, 9.0]]
+    return {
+        "says": dict.fromkeys(NS, says),
+        "likely": dict.fromkeys(NS, likely),
+        "margin_mm": [[m, m] for m in margins],
+        "left_out": 0,
+        "iou": [0.5, 0.7],
+        "cells": {"1": counts.tolist(), "3": counts.tolist()},
+    }
+
+
+def test_scores_of_known_answers() -> None:
+    margins = [3.0, -3.0, 2.0, None, 0.1]  # the last one is too close to be scored
+    found = scores([answer([True, False, False, False, True], [True] * 5, margins)])
+    assert found["groups"] == 5
+    assert found["released"]["3"]["balanced"] == pytest.approx(0.75)
+    assert found["released"]["3"]["unsafe"]["value"] == 0.0
+    assert found["likely"]["3"]["balanced"] == pytest.approx(0.5)
+    assert found["iou"]["value"] == pytest.approx(0.6)
+    # Ten cells promised 0.1 of which one supports, ten promised 0.9 that all do: 0.05 on average.
+    assert found["reliability"]["3"]["ece"] == pytest.approx(0.05)
+
+
+def test_counted_probabilities_make_the_chart_of_the_probabilities_themselves() -> None:
+    rng = np.random.default_rng(6)
+    p = rng.uniform(size=20000)
+    true = rng.uniform(size=20000) < p**2
+    step = np.minimum((p * STEPS).astype(int), STEPS - 1)
+    counts = np.stack([np.bincount(step, w, STEPS) for w in (np.ones(len(p)), true, p)])
+    # The mean distance between p and p squared is 1/2 - 1/3.
+    assert chart_of(counts)["ece"] == pytest.approx(1 / 6, abs=0.01)
+    assert sum(chart_of(counts)["count"]) == 20000
+
+
+def test_shares_of_the_way_count_what_all_three_did() -> None:
+    def cell(*outcomes: str) -> list[Json]:
+        return [{"seed": k, "outcome": word} for k, word in enumerate(outcomes)]
+
+    trials = {
+        ("paper", "pot", "short"): cell("fell", "placed", "fell", "gave_up", "placed"),
+        ("mine", "pot", "short"): cell("placed", "placed", "fell", "placed"),
+        ("ceiling", "pot", "short"): cell("placed", "placed", "placed", "placed"),
+    }
+    (row,) = gaps(trials, {})
+    assert (row["n"], row["paper"], row["own"], row["ceiling"]) == (4, 0.25, 0.75, 1.0)
+    assert row["share"] == pytest.approx(2 / 3)
+    assert gaps({k: v for k, v in trials.items() if k[0] != "ceiling"}, {}) == []
+    said = {
+        ("paper", "pot", "short"): {1: answer([False] * 2, [False] * 2, [2.0, -2.0])},
+        ("mine", "pot", "short"): {1: answer([False] * 2, [True, False], [2.0, -2.0])},
+        ("ceiling", "pot", "short"): {1: answer([False] * 2, [True, False], [2.0, -2.0])},
+    }
+    rows = gaps({}, said)
+    assert [r["what"] for r in rows] == [f"balanced, n = {n}" for n in NS]
+    assert (rows[0]["paper"], rows[0]["own"], rows[0]["share"]) == (0.5, 1.0, 1.0)
+
+
+def test_towers_have_the_seeds_of_table_3(bench_v1: SimulationSettings) -> None:
+    models = {("pot", "FT+Tac"): "m"}
+    table = Recipe(QUICK, bench_v1, "1", models, ("pot",)).stacking("pot", TWO, "paper")
+    plan = Beyond(
+        bench_v1, "1", {"pot": "m"}, bottoms=("short+long", "long"),
+        strategies=("paper", "ceiling"), trials=2,
+    )  # fmt: skip
+    assert table is not None
+    found = {(j.params["bottom"], j.params["strategy"]): j.seed for j in plan.jobs()}
+    # The ceiling knows nothing of towers.
+    assert found.keys() == {("short+long", "paper"), ("long", "paper"), ("long", "ceiling")}
+    assert found["short+long", "paper"] == table.seed
+
+
+def test_a_tower_and_groups_from_end_to_end(bench_v1: SimulationSettings, store: JobStore) -> None:
+    models = adopt_models(store, *models_that_ship("bench-v1"))
+    source = {"pot": models["pot", "FT+Tac"]}
+    loops = Beyond(
+        bench_v1, "1", source, bottoms=("short+long",), strategies=("outlines",), trials=1
+    )
+    said = Promises(bench_v1, "1", source, ("pot",), ("long",), ("outlines",), 2)
+    plan = Compared(loops, said)
+    for job in plan.jobs():
+        assert run_job(job, {"beyond": beyond, "promises": promises}, store).state == "done"
+    found = plan.answer(store)
+    (loop,), (cell,) = found["cells"], found["statics"]["cells"]
+    assert loop["placed"]["n"] + loop["left_out"] == 1
+    assert cell["groups"] == 2
+    assert sum(cell["reliability"]["1"]["count"]) > 2 * 100
+    assert cell["reliability"]["3"]["ece"] < 1.0
+    assert [len(sheet.columns) for sheet in sheets(found)] == [
+        len(sheet.rows[0]) for sheet in sheets(found)
+    ]

@@ -36,7 +36,9 @@ class StackPresenter:
     def __init__(self, link: Link, page: StackPage, cards: FaultCards) -> None:
         self._link, self._page, self._cards = link, page, cards
         self.story = RunStory()
-        self._shown_version = -1
+        self._pieces = (self._draw_decision, self._draw_map, self._draw_strip, self._draw_score)
+        self._shown_versions = [-1] * len(self._pieces)
+        self._next_piece = 0
         self._chosen: int | None = None
         self._scenes: dict[tuple[int, int, bool], tuple[ProbeLook, BeliefScene]] = {}
         self._buttons: RunButtons | None = None
@@ -91,7 +93,7 @@ class StackPresenter:
         trial = self._shown_trial()
         last = len(trial.probes) - 1 if trial is not None else 0
         self._chosen = None if index >= last else index
-        self._shown_version = -1
+        self._shown_versions = [-1] * len(self._pieces)
 
     # -- showing ----------------------------------------------------------------------------------
 
@@ -104,13 +106,18 @@ class StackPresenter:
             self._scenes.clear()
 
     def draw(self) -> None:
-        """Show what changed."""
+        """Show what changed, one part of the page a call: Qt lays out and paints each anew."""
         status = self._link.status()
         self._draw_buttons(status)
         self._draw_question(status)
-        if self.story.version != self._shown_version:
-            self._shown_version = self.story.version
-            self._draw_story()
+        for _ in self._pieces:
+            piece = self._next_piece
+            self._next_piece = (piece + 1) % len(self._pieces)
+            if self._shown_versions[piece] != self.story.version:
+                self._shown_versions[piece] = self.story.version
+                self._pieces[piece]()
+                return
+        self._next_piece = 0
 
     def _draw_buttons(self, status: RunStatus) -> None:
         active = status.state in ACTIVE
@@ -149,45 +156,59 @@ class StackPresenter:
         begun = any(look.belief is not None for look in trials[-1].probes)
         return trials[-1] if begun else trials[-2]
 
-    def _draw_story(self) -> None:
-        trial = self._shown_trial()
+    def _draw_score(self) -> None:
         self._page.score.show_score(self._score())
-        if trial is None or not trial.probes:
-            self._page.belief.show_scene(BeliefScene() if trial is None else no_probe(trial))
-            self._page.legend.show_truth(False)
-            self._page.strip.show_probes([], -1)
-            self._page.belief_panel.detail.setText("")
-            if trial is not None and trial.finished is not None:
-                self._page.decision.show_text(self._ended(trial.finished))
-            elif self._link.status().asks:
-                asks = f"{self._link.status().asks.capitalize()}."
-                self._page.decision.show_text(DecisionText("Your turn", "", "", asks))
-            elif trial is not None:
-                pressed = trial.phase in PRESSING
-                follows = "The estimate follows the press." if pressed else "A press follows."
-                self._page.decision.show_text(DecisionText("Probing", "", "", follows))
-            return
-        chosen = len(trial.probes) - 1 if self._chosen is None else self._chosen
-        scenes = [self._scene(i) for i in range(len(trial.probes))]
-        looks = trial.probes
-        self._page.strip.show_probes(
-            [
-                (s, caption_of(look.probe, look.stability))
-                for s, look in zip(scenes, looks, strict=True)
-            ],
-            chosen,
-        )
-        scene, look = scenes[chosen], looks[chosen]
-        if self._page.belief.scene is not scene:
-            self._page.belief.show_scene(scene)
-        self._page.legend.show_truth(scene.truth is not None)
-        self._page.decision.show_text(self._decision(look, looking_back=self._chosen is not None))
-        self._page.belief_panel.detail.setText(_belief_detail(scene, look))
 
-    def _decision(self, look: ProbeLook, *, looking_back: bool) -> DecisionText:
+    def _draw_decision(self) -> None:
+        trial = self._shown_trial()
+        if trial is not None and trial.probes:
+            text = self._decision(trial.probes[self._index(trial)])
+        elif trial is not None and trial.finished is not None:
+            text = self._ended(trial.finished)
+        elif self._link.status().asks:
+            asks = f"{self._link.status().asks.capitalize()}."
+            text = DecisionText("Your turn", "", "", asks)
+        elif trial is not None:
+            pressed = trial.phase in PRESSING
+            follows = "The estimate follows the press." if pressed else "A press follows."
+            text = DecisionText("Probing", "", "", follows)
+        else:
+            return
+        self._page.decision.show_text(text)
+
+    def _draw_map(self) -> None:
+        trial, belief = self._shown_trial(), self._page.belief
+        if trial is None or not trial.probes:
+            scene, detail = BeliefScene() if trial is None else no_probe(trial), ""
+            changed = belief.scene.belief is not None or belief.scene.empty != scene.empty
+        else:
+            look = trial.probes[self._index(trial)]
+            scene = self._scene(self._index(trial))
+            detail, changed = _belief_detail(scene, look), belief.scene is not scene
+        if changed:
+            belief.show_scene(scene)
+        self._page.legend.show_truth(scene.truth is not None)
+        self._page.belief_panel.detail.setText(detail)
+
+    def _draw_strip(self) -> None:
+        trial = self._shown_trial()
+        if trial is None or not trial.probes:
+            self._page.strip.show_probes([], -1)
+            return
+        shown = [
+            (self._scene(index), caption_of(look.probe, look.stability))
+            for index, look in enumerate(trial.probes)
+        ]
+        self._page.strip.show_probes(shown, self._index(trial))
+
+    def _index(self, trial: TrialStory) -> int:
+        """Return which of its probes is shown: the chosen one, else the newest."""
+        return len(trial.probes) - 1 if self._chosen is None else self._chosen
+
+    def _decision(self, look: ProbeLook) -> DecisionText:
         text = decide_in_words(look.stability, look.action)
         trial = self._shown_trial()
-        if looking_back:
+        if self._chosen is not None:
             return DecisionText(text.verdict, text.tone, text.margin,
                                 f"Looking back at probe {look.probe}. {text.text}")  # fmt: skip
         if trial is None or trial.finished is None:

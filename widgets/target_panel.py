@@ -60,7 +60,7 @@ class TargetButtons:
     """Which buttons may be pressed. ``go_on``: what the last campaign still lacks, "" if nothing.
 
     ``why_not`` is why nothing can be started; ``in_contact``: a lift would help. ``ask``: what the
-    run waits to be confirmed.
+    run waits to be confirmed or, with ``answers`` (yes, no), asks.
     """
 
     start: bool
@@ -71,6 +71,7 @@ class TargetButtons:
     why_not: str = ""
     in_contact: bool = False
     ask: str = ""
+    answers: tuple[str, str] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,15 +287,20 @@ class TargetPanel(Panel):
     def show_buttons(self, buttons: TargetButtons) -> None:
         """Enable what is allowed now; a disabled Start says why, and it confirms what waits."""
         self.start.setEnabled(buttons.start or bool(buttons.ask))
-        self.start.setText("Confirm" if buttons.ask else "Start collecting")
+        yes, no = buttons.answers or ("Confirm", "Go on")
+        self.start.setText(yes if buttons.ask else "Start collecting")
         said = buttons.ask or (f"{buttons.why_not}." if buttons.why_not else "")
         self.why_not.setText(said)
         self.why_not.setVisible(bool(said))
-        tip = "My hand is there (F5)" if buttons.ask else "Begin a new campaign (F5)"
+        there = "Yes (F5)" if buttons.answers else "My hand is there (F5)"
+        tip = there if buttons.ask else "Begin a new campaign (F5)"
         self.start.setToolTip(buttons.why_not or tip)
         self.lift.setVisible(buttons.in_contact)
-        self.go_on.setEnabled(buttons.start and bool(buttons.go_on))
-        self.go_on.setToolTip(buttons.go_on or "No campaign is left to go on with")
+        self.go_on.setText(no)
+        asked = buttons.answers is not None
+        self.go_on.setEnabled(asked or (buttons.start and bool(buttons.go_on)))
+        tip = buttons.go_on or "No campaign is left to go on with"
+        self.go_on.setToolTip("No (Shift+F5)" if asked else tip)
         self.pause.setEnabled(buttons.pause)
         self.pause.setText("Resume" if buttons.paused else "Pause")
         self.pause.setToolTip("Pause at the next safe place, arm lifted (P)")

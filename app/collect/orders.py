@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from app.activity import ACTIVE, why_no_run
 from app.link import Link
 from backend.catalogue.dataset import Dataset
-from backend.core.facts import HandOverAwaited
+from backend.core.facts import HandOverAwaited, MountingAwaited
 from backend.runs.requests import RunState
-from backend.runs.words import hand_over
+from backend.runs.words import hand_over, mounting
 from widgets.target_panel import TargetButtons
+
+ANSWERS = "Fitted anew", "As it was"
+"""To the question about the mounting."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +27,7 @@ class Standing:
     dataset: Dataset | None
     mine: bool
     go_on: str
-    handing: HandOverAwaited | None
+    asked: HandOverAwaited | MountingAwaited | None
 
 
 def buttons(link: Link | None, now: Standing) -> TargetButtons:
@@ -41,8 +44,15 @@ def buttons(link: Link | None, now: Standing) -> TargetButtons:
         go_on=now.go_on,
         why_not=why,
         in_contact=not active and _in_contact(link),
-        ask=hand_over(now.handing) if active and now.handing is not None else "",
+        ask=_question(now) if active else "",
+        answers=ANSWERS if active and isinstance(now.asked, MountingAwaited) else None,
     )
+
+
+def _question(now: Standing) -> str:
+    if isinstance(now.asked, MountingAwaited):
+        return mounting(now.asked)
+    return "" if now.asked is None else hand_over(now.asked)
 
 
 def why_not(link: Link | None, now: Standing) -> str:

@@ -34,6 +34,7 @@ from backend.core.facts import (
     Fact,
     Gripped,
     HandOverAwaited,
+    MountingAwaited,
     OriginChecked,
     PhaseEntered,
     ProbeCollected,
@@ -69,7 +70,7 @@ class CollectPresenter:
         self.person = ""
         self.link: Link | None = None
         self._asking = self._mine = False
-        self._handing: HandOverAwaited | None = None
+        self._asked: HandOverAwaited | MountingAwaited | None = None
         self._campaign, self._go_on = "", ""
         self._pace, self._gauge, self._progress = Pace(), RecorderGauge(), Progress()
         self._gauge_s = float("-inf")
@@ -104,19 +105,25 @@ class CollectPresenter:
 
     def start(self) -> None:
         """F5: say yes to what waits (keep the probe, the hand at the jaws), else begin anew."""
-        if self._handing is not None and self.link is not None:
-            self._handing = None
-            self.link.answer(True)
+        if self._asked is not None:
+            self._answer(True)
         elif self._asking:
             self.decide("keep")
         else:
             self._begin(request_of(self._page.target.form(), self.person))
 
     def go_on(self) -> None:
-        """Go on with the newest campaign."""
-        if self._campaign:
+        """Go on with the newest campaign, or say that its mounting is as it was."""
+        if isinstance(self._asked, MountingAwaited):
+            self._answer(False)
+        elif self._campaign:
             form = self._page.target.form()
             self._begin(request_of(form, self.person, campaign=self._campaign))
+
+    def _answer(self, yes: bool) -> None:
+        if self.link is not None:
+            self._asked = None
+            self.link.answer(yes)
 
     def _begin(self, request: CollectRequest) -> None:
         link = self.link
@@ -234,13 +241,13 @@ class CollectPresenter:
 
     def _tell(self, fact: Fact) -> None:
         """Show where the run is."""
-        if isinstance(fact, HandOverAwaited):
-            self._handing = fact
+        if isinstance(fact, HandOverAwaited | MountingAwaited):
+            self._asked = fact
         elif isinstance(fact, Gripped):
             text = f"mounting {fact.mounting}, grip {fact.grip}, {fact.mass_g:.1f} g held"
             self._page.live.detail.setText(text)
         elif isinstance(fact, PhaseEntered):
-            self._handing = None
+            self._asked = None
             self._page.target.detail.setText(fact.phase)
         elif isinstance(fact, OriginChecked):
             self.origin.show_note(OriginNote.of(fact, datetime.now()))
@@ -263,7 +270,7 @@ class CollectPresenter:
 
     def _ended(self, fact: RunFinished) -> None:
         self._mine = self._asking = False
-        self._handing = None
+        self._asked = None
         self._page.target.detail.setText("")
         self._page.live.detail.setText("")
         self._page.target.eta.setText(fact.reason)
@@ -306,7 +313,7 @@ class CollectPresenter:
 
     def draw(self) -> None:
         """Show what changed."""
-        now = Standing(self.person, self.dataset, self._mine, self._go_on, self._handing)
+        now = Standing(self.person, self.dataset, self._mine, self._go_on, self._asked)
         wanted = buttons(self.link, now)
         if wanted != self._buttons:
             self._buttons = wanted

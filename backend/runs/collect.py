@@ -19,7 +19,8 @@ from backend.runs.collected import EpisodeRecorder, Origin
 from backend.runs.collecting import Collector
 from backend.runs.host import RunHost
 from backend.runs.jig import fitted_anew
-from backend.runs.orderly import orderly
+from backend.runs.mounting import NEW, Mounting, mounting_id, mounting_to_go_on
+from backend.runs.orderly import Ended, orderly
 from backend.runs.plan import Plan
 from backend.runs.record import record_of
 from backend.runs.requests import CollectRequest
@@ -57,52 +58,86 @@ def _mountings(
     entries: list[EpisodeEntry],
     recorder: EpisodeRecorder,
 ) -> Plan[None]:
-    collector, before = None, NEW
-    while True:
-        bench = host.set_scene(request.scene(campaign.mountings), host.method)
-        target = Target(bench.piece.face, bench.outline, request.within_mm)
-        if collector is None:
-            seen = pair_coverage(recorder.dataset, campaign, target)
-            planned_mm(campaign.pattern, target, campaign.seed, 0, campaign.count, seen)
-            collector = Collector(campaign, recorder, host.decisions, seen, entries)
-            collector.ask, collector.check_origin = request.ask, request.check_origin
-            collector.hand_over = request.hand_over
-            if campaign.mountings and _by_hand(request, bench):
-                going_on = mounting_to_go_on(bench, recorder.dataset, campaign)
-                said = yield from orderly(bench, going_on)
-                if said.value is None:
-                    ended: Ended[bool] = Ended(None, said.run_ending, said.reason)
-                    break
-                before = said.value
-                if before is not NEW:
-                    bench = host.set_scene(request.scene(campaign.mountings - 1), host.method)
-        else:
-            before = NEW
-        if before is NEW:
-            campaign = collector.campaign = collector.campaign.with_mounting()
-            campaign.save(recorder.dataset.folder)
-        collector.grips = before.grips
-        origin = _origin(bench, request)
-        context = _context(host, request, bench, origin, campaign, recorder.dataset)
-        context = replace(context, series=before.series or context.series)
-        yield CampaignBegan(
-            bench.now_s(), campaign.uuid, context.series, str(recorder.dataset.folder),
-            collector.done, campaign.count,
-        )  # fmt: skip
-        ended = yield from orderly(bench, collector.mounting(bench, target, origin, context))
-        yield from collector.settle(bench)
-        campaign = collector.campaign
-        campaign.save(recorder.dataset.folder)
+    bench = host.set_scene(request.scene(campaign.mountings), host.method)
+    target = Target(bench.piece.face, bench.outline, request.within_mm)
+    collector = _collector(host, request, campaign, entries, recorder, target)
+    begun = yield from orderly(bench, _mounting(bench, request, recorder.dataset, campaign))
+    ended: Ended[bool] = Ended(None, begun.run_ending, begun.reason)
+    mounting = begun.value
+    if mounting is not None and mounting.goes_on:
+        bench = host.set_scene(request.scene(campaign.mountings - 1), host.method)
+    while mounting is not None:
+        ended = yield from _one(host, request, bench, target, collector, mounting)
         if ended.value is None or not collector.todo:
             break
-        if request.hand_over or bench.jig is None:
+        if _by_hand(request, bench):
             # No simulation does it: two mountings are two only if somebody fitted them.
             ended = yield from orderly(bench, fitted_anew(bench))
             if ended.value is None:
                 break
+        mounting = NEW
+        bench = host.set_scene(request.scene(collector.campaign.mountings), host.method)
     ending = ended.run_ending or ("finished" if ended.value else "failed")
     reason = ended.reason or _summary(collector)
     yield RunFinished(bench.now_s(), host.run_id, ending, reason)
+
+
+def _collector(
+    host: RunHost,
+    request: CollectRequest,
+    campaign: Campaign,
+    entries: list[EpisodeEntry],
+    recorder: EpisodeRecorder,
+    target: Target,
+) -> Collector:
+    """Return what works off the campaign; raises ``InputError`` where nothing can be probed."""
+    seen = pair_coverage(recorder.dataset, campaign, target)
+    planned_mm(campaign.pattern, target, campaign.seed, 0, campaign.count, seen)
+    collector = Collector(campaign, recorder, host.decisions, seen, entries)
+    collector.ask, collector.check_origin = request.ask, request.check_origin
+    collector.hand_over = request.hand_over
+    return collector
+
+
+def _by_hand(request: CollectRequest, bench: Bench) -> bool:
+    """Whether somebody fits bottom and gels; a simulation with a jig does so by itself."""
+    return request.hand_over or bench.jig is None
+
+
+def _mounting(
+    bench: Bench, request: CollectRequest, dataset: Dataset, campaign: Campaign
+) -> Plan[Mounting]:
+    """Return the mounting to begin with: only one that a person fitted may be the former one."""
+    if campaign.mountings and _by_hand(request, bench):
+        return (yield from mounting_to_go_on(bench, dataset, campaign))
+    return NEW
+
+
+def _one(
+    host: RunHost,
+    request: CollectRequest,
+    bench: Bench,
+    target: Target,
+    collector: Collector,
+    mounting: Mounting,
+) -> Plan[Ended[bool]]:
+    """Collect on one mounting, a new one or the rest of one; the campaign is saved around it."""
+    dataset = collector.recorder.dataset
+    if not mounting.goes_on:
+        collector.campaign = collector.campaign.with_mounting()
+        collector.campaign.save(dataset.folder)
+    origin = _origin(bench, request)
+    context = _context(host, request, bench, origin, collector.campaign, dataset)
+    context = replace(context, series=mounting.series or context.series)
+    yield CampaignBegan(
+        bench.now_s(), collector.campaign.uuid, context.series, str(dataset.folder),
+        collector.done, collector.campaign.count,
+    )  # fmt: skip
+    work = collector.mounting(bench, target, origin, context, after=mounting.grips)
+    ended = yield from orderly(bench, work)
+    yield from collector.settle(bench)
+    collector.campaign.save(dataset.folder)
+    return ended
 
 
 def _summary(collector: Collector) -> str:
@@ -166,7 +201,7 @@ def _context(
         geometry=dataset.geometry.store_pair(bench.piece, bottom),
         person=request.person,
         grip_id="",
-        mounting_id=f"{campaign.uuid}/mounting-{campaign.mountings}",
+        mounting_id=mounting_id(campaign),
         campaign=campaign.uuid,
         mode=host.mode,
         seed=request.seed,

@@ -82,18 +82,23 @@ class Collector:
         self._last: tuple[EpisodeEntry, int] | None = None
 
     def mounting(
-        self, bench: Bench, target: Target, origin: Origin, context: EpisodeContext
+        self, bench: Bench, target: Target, origin: Origin, context: EpisodeContext, after: int = 0
     ) -> Plan[bool]:
-        """Grip and probe until nothing is left to do, or the bottom is due to be fitted anew."""
+        """Grip and probe until nothing is left to do, or the bottom is due to be fitted anew.
+
+        ``after`` so many grips that were made on it before; one more at least is made.
+        """
         if self.hand_over or bench.jig is None:
             yield from rest(bench, FIRST_POSES_S)
             bench = handed(bench)
-        for grip in range(1, bench.settings.collect.grips_per_mounting + 1):
+        first = after + 1
+        most = max(first, bench.settings.collect.grips_per_mounting)
+        for grip in range(first, most + 1):
             if not self.todo:
                 break
             mass_g = yield from pick(bench)
             yield Gripped(bench.now_s(), grip, self.campaign.mountings, mass_g)
-            if self.check_origin and grip == 1:
+            if self.check_origin and grip == first:
                 context = yield from self._checked(bench, origin, context)
             held = replace(context, grip_id=f"{context.mounting_id}/grip-{grip}")
             yield from self._grip(bench, target, origin, held)

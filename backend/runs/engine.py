@@ -19,6 +19,7 @@ from backend.core.facts import (
     Fact,
     FaultRaised,
     HandOverAwaited,
+    MountingAwaited,
     OutcomeAwaited,
     PatchEstimated,
     Paused,
@@ -46,6 +47,7 @@ from backend.runs.requests import RunState, RunStatus
 _ASKS: dict[type[Fact], str] = {
     SetUpAwaited: "set the scene",
     HandOverAwaited: "a hand at the jaws",
+    MountingAwaited: "say whether it was fitted anew",
     OutcomeAwaited: "say the outcome",
 }
 _ACTIVE = {RunState.RUNNING, RunState.PAUSING, RunState.PAUSED, RunState.PREPARING}

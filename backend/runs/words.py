@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from backend.core.facts import HandOverAwaited, OutcomeAwaited, SetUpAwaited
+from backend.core.facts import HandOverAwaited, MountingAwaited, OutcomeAwaited, SetUpAwaited
 from backend.core.faults import Fault
 from backend.core.flow import ContactPatch, Outcome, PlaceAction, Stability, SupportKind
 
@@ -65,6 +65,17 @@ def hand_over(awaited: HandOverAwaited) -> str:
     if awaited.gives:
         return f"Hold the {awaited.piece} between the jaws: they close on it."
     return f"Take hold of the {awaited.piece}: the jaws open."
+
+
+def mounting(awaited: MountingAwaited) -> str:
+    """Ask whether the campaign goes on with the mounting that it had."""
+    what = f"the {awaited.bottom} or the gels"
+    return f"Were {what} fitted anew since mounting {awaited.mounting} of this campaign?"
+
+
+def same_mounting(number: int, grips: int) -> str:
+    """Say that nothing was fitted anew."""
+    return f"Mounting {number} and its series go on, after {grips} grips."
 
 
 def rejected(probe: int, reasons: tuple[str, ...]) -> str:

@@ -18,6 +18,7 @@ from backend.core.facts import (
     FaultRaised,
     Gripped,
     HandOverAwaited,
+    MountingAwaited,
     Paused,
     ProbeCollected,
     RunFinished,
@@ -26,7 +27,7 @@ from backend.core.facts import (
 from backend.core.faults import Fault, InputError
 from backend.runs.requests import CollectRequest
 from backend.runs.store import calibrations_folder, data_folder, dataset_folder
-from backend.runs.words import hand_over
+from backend.runs.words import hand_over, mounting
 from backend.verbs.attending import room_made
 from backend.verbs.connecting import (
     add_lab_arguments,
@@ -154,10 +155,8 @@ class _Told:
             self._screen.say(
                 f"  mounting {fact.mounting}, grip {fact.grip}: {fact.mass_g:.1f} g held"
             )
-        elif isinstance(fact, HandOverAwaited):
-            self._screen.say(f"  {hand_over(fact)} Enter confirms.")
-            # The end of standard input is a no: nobody is there to hold anything.
-            self._confirm(sys.stdin.readline() != "")
+        elif isinstance(fact, HandOverAwaited | MountingAwaited):
+            self._asked(fact)
         elif isinstance(fact, Paused):
             self._paused(fact.fault)
         elif isinstance(fact, Said):
@@ -166,6 +165,15 @@ class _Told:
             self.faults.append(fact.fault.code)
         elif isinstance(fact, RunFinished):
             self.ended = fact
+
+    def _asked(self, fact: HandOverAwaited | MountingAwaited) -> None:
+        """Ask on standard input; its end is a no: nobody is there to hold or to fit anything."""
+        if isinstance(fact, MountingAwaited):
+            self._screen.say(f"  {mounting(fact)} Type y if so; Enter alone: it is as it was.")
+            self._confirm(sys.stdin.readline().strip().lower() in ("y", "yes"))
+        else:
+            self._screen.say(f"  {hand_over(fact)} Enter confirms.")
+            self._confirm(sys.stdin.readline() != "")
 
     def _begin(self, fact: CampaignBegan) -> None:
         """Begin the bar with the first mounting; it goes on with the others."""

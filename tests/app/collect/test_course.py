@@ -11,6 +11,7 @@ from backend.core.facts import (
     DecisionAwaited,
     EpisodeDecided,
     HandOverAwaited,
+    MountingAwaited,
     OriginChecked,
     RunFinished,
 )
@@ -217,3 +218,23 @@ def test_a_hand_at_the_jaws_is_asked_for_and_confirmed_by_f5(page):
     page.press(KEY.Key_F5)
     assert page.bench.answers == [True]
     assert len(page.bench.started) == 1
+
+
+@pytest.mark.parametrize("anew", [True, False])
+def test_a_campaign_that_goes_on_asks_for_its_mounting_and_takes_either_answer(page, anew):
+    target = page.view.target
+    page.begin()
+    page.tell(MountingAwaited(0.5, "circle15", 2))
+    assert target.why_not.text() == (
+        "Were the circle15 or the gels fitted anew since mounting 2 of this campaign?"
+    )
+    assert (target.start.text(), target.go_on.text()) == ("Fitted anew", "As it was")
+    assert target.start.isEnabled()
+    assert target.go_on.isEnabled()
+    with_key = Qt.KeyboardModifier.NoModifier if anew else Qt.KeyboardModifier.ShiftModifier
+    page.press(KEY.Key_F5, with_key)
+    assert page.bench.answers == [anew]
+    settle(page.main)
+    assert (target.start.text(), target.go_on.text()) == ("Start collecting", "Go on")
+    assert not target.go_on.isEnabled()
+    assert len(page.bench.started) == 0

@@ -8,13 +8,14 @@ import pytest
 
 from backend.assembly import simulated_session
 from backend.catalogue.dataset import Dataset
-from backend.core.facts import Fact, HandOverAwaited, PhaseEntered, RunFinished
+from backend.core.facts import Fact, HandOverAwaited, MountingAwaited, PhaseEntered, RunFinished
+from backend.runs.campaign import newest_campaign, read_campaign
 from backend.runs.requests import CollectRequest
 from backend.session import Keep, Session
 from tests.backend.brisk import brisk_bench, brisk_method
 
 
-def collected(dataset: Dataset, answer: Callable[[HandOverAwaited], bool], **asked):
+def collected(dataset: Dataset, answer: Callable[[Fact], bool], **asked):
     """Collect by hand-over; returns the session, the facts, and what was asked when."""
     session: Session = simulated_session(
         brisk_bench("quiet"), keep=Keep(None), method=brisk_method()
@@ -25,7 +26,10 @@ def collected(dataset: Dataset, answer: Callable[[HandOverAwaited], bool], **ask
     asked_of: list[tuple[str, bool]] = []
 
     def hold(fact: Fact) -> None:
-        if isinstance(fact, HandOverAwaited):
+        if isinstance(fact, MountingAwaited):
+            asked_of.append((f"fitted since {fact.mounting}", session.hand.holding))
+            session.answer(answer(fact))
+        elif isinstance(fact, HandOverAwaited):
             what = "fit anew" if fact.anew else "give" if fact.gives else "take"
             asked_of.append((what, session.hand.holding))
             session.answer(answer(fact))
@@ -66,3 +70,32 @@ def test_the_jaws_do_not_close_on_a_no(tmp_path) -> None:
         assert not session.hand.holding
         assert [f.phase for f in facts if isinstance(f, PhaseEntered)] == ["shift"]
         assert dataset.episodes() == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("anew", [False, True])
+def test_a_campaign_that_goes_on_asks_whether_bottom_and_gels_were_fitted_anew(
+    tmp_path, anew
+) -> None:
+    """Splits go by mounting: one that nobody fitted must not become a second one by a restart."""
+    with Dataset.open(tmp_path / "ds", person="ann") as dataset:
+        answers = iter([True, True, False])
+        collected(dataset, lambda _: next(answers), count=2, probes_per_grip=1)
+        uuid = newest_campaign(dataset.folder)
+        assert read_campaign(dataset.folder, uuid).mountings == 1
+        answers = iter([anew, True, True])
+        _, facts, asked_of = collected(
+            dataset, lambda _: next(answers), campaign=uuid, probes_per_grip=1
+        )
+        # Asked before anything is handed over or moves.
+        assert [what for what, _ in asked_of] == ["fitted since 1", "give", "take"]
+        moves = [type(fact) for fact in facts]
+        assert moves.index(MountingAwaited) < moves.index(PhaseEntered)
+        assert facts[-1].ending == "finished"
+        first, second = dataset.episodes()
+        assert (first.series == second.series) is not anew
+        assert (first.mounting_id == second.mounting_id) is not anew
+        assert first.grip_id != second.grip_id
+        number, grip = (2, 1) if anew else (1, 2)
+        assert second.grip_id == f"{uuid}/mounting-{number}/grip-{grip}"
+        assert read_campaign(dataset.folder, uuid).mountings == number

@@ -66,6 +66,7 @@ ALL = [
     facts.OriginChecked(1.8, (0.1, -0.2), 0.05, True),
     facts.DecisionAwaited(1.9, "u", 4),
     facts.HandOverAwaited(1.95, "pot", gives=True),
+    facts.MountingAwaited(1.97, "circle15", 2),
     facts.ProbeCollected(
         2.0, "u", 4, 1, 4, 20, (1.0, 2.0), (1.1, 2.1), 0.15, (1.0, 2.0, 0.1, 0.2, 9.0), 0.0, 0.1, ""
     ),

@@ -68,8 +68,7 @@ class Channel:
         try:
             while (message := receive(self._source)) is not None:
                 self._take(message)
-        except (OSError, ValueError):
-            # A pipe that tells nonsense is as good as closed.
+        except Exception:  # noqa: BLE001 - who tells nonsense, of whatever kind, is as good as gone
             return
         finally:
             self._ended()

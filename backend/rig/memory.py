@@ -139,7 +139,7 @@ class SharedMemory:
         self._words[STATE] = number
 
     def seen(self) -> dict[str, Any] | None:
-        """Return the newest state, None before the first or while it is being written."""
+        """Return the newest state, None before the first, while it is being written, or if torn."""
         ends = self._state.view(np.int64)
         number = int(ends[0])
         if number <= 0:
@@ -148,7 +148,10 @@ class SharedMemory:
         content = self._state[16 : 16 + size].tobytes()
         if int(ends[-1]) != number or int(ends[0]) != number:
             return None
-        found = json.loads(content)
+        try:
+            found = json.loads(content)
+        except (ValueError, RecursionError):
+            return None
         return found if isinstance(found, dict) else None
 
     def note(self, t_s: float, text: str) -> None:
@@ -161,8 +164,9 @@ class SharedMemory:
     def notes(self) -> list[tuple[float, str]]:
         """Return the kept lines with their times, oldest first."""
         count = int(self._words[NOTES])
-        kept = [self._notes[n % NOTES_KEPT] for n in range(max(0, count - NOTES_KEPT), count)]
-        lines = [(float(row["t_s"]), bytes(row["text"])) for row in kept]
+        kept = [(n, self._notes[n % NOTES_KEPT]) for n in range(max(0, count - NOTES_KEPT), count)]
+        whole = [row for n, row in kept if row["first"] == row["last"] == n]
+        lines = [(float(row["t_s"]), bytes(row["text"])) for row in whole]
         return [(t_s, text.decode(errors="replace").rstrip()) for t_s, text in lines]
 
 

@@ -51,7 +51,8 @@ def _places(settings: HardwareSettings) -> Iterator[tuple[str, bool]]:
     else:
         yield "melfa.host", _is_loopback(settings.melfa.host)
     yield "wsg.host", _is_loopback(settings.wsg.host)
-    if settings.ft.driver not in ("melfa", "ur") or settings.ft.address:  # else the arm's own controller
+    # Without an address these two are at the controller of their arm.
+    if settings.ft.driver not in ("melfa", "ur") or settings.ft.address:
         yield "ft.address", _is_here(settings.ft.address)
     gelsight = settings.gelsight
     filmed = bool(gelsight.left.file and gelsight.right.file)

@@ -11,7 +11,7 @@ import math
 import struct
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 from backend.config.hardware import HardwareSettings
@@ -32,10 +32,10 @@ class WrenchSource(Protocol):
     """What of ``rtde_receive.RTDEReceiveInterface`` this sensor needs."""
 
     def getFtRawWrench(self) -> Sequence[float]:  # noqa: N802
-        """Forces in N and torques in N·m, of flange axes, with all that hangs on it."""
+        """Return forces in N and torques in N·m, flange axes, with all that hangs on it."""
 
     def getTimestamp(self) -> float:  # noqa: N802
-        """Time since the controller was started, s."""
+        """Return the time since the controller was started, s."""
 
     def isConnected(self) -> bool:  # noqa: N802
         """Whether data still comes."""
@@ -81,12 +81,8 @@ class RtdeLink:
         self._source.disconnect()
 
 
-OpenSource = Callable[[str, float], WrenchSource]
-"""(host, samples per second) -> its connection; raises ``RuntimeError`` as the package does."""
-
-
 def open_source(host: str, rate_hz: float) -> WrenchSource:
-    """Connect through ``ur_rtde``; raises ``OSError`` without the package."""
+    """Connect through ``ur_rtde``; ``OSError`` without the package, ``RuntimeError`` as it does."""
     try:
         receive = importlib.import_module("rtde_receive").RTDEReceiveInterface
     except ImportError as error:
@@ -95,13 +91,11 @@ def open_source(host: str, rate_hz: float) -> WrenchSource:
     return source
 
 
-def open_rtde(
-    settings: HardwareSettings, address: str, open_with: OpenSource = open_source
-) -> Link:
+def open_rtde(settings: HardwareSettings, address: str) -> Link:
     """Open ``address`` (``rtde://host``); raises ``OSError``."""
     rate_hz = settings.ur.rate_hz
     try:
-        return RtdeLink(open_with(address.removeprefix(SCHEME), rate_hz), 1.0 / rate_hz)
+        return RtdeLink(open_source(address.removeprefix(SCHEME), rate_hz), 1.0 / rate_hz)
     except RuntimeError as error:
         raise ConnectionRefusedError(str(error)) from error
 

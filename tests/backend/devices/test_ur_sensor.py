@@ -1,3 +1,4 @@
+# ruff: noqa: N802
 """The sensor built into a Universal Robots wrist, over a module that has what ur_rtde offers."""
 
 import inspect
@@ -31,12 +32,13 @@ class Robot:
 
     def __init__(self, host, rate_hz):
         assert (host, rate_hz) == ("robot", 500.0)
-        self.begun_s = time.monotonic()
+        self.begun_s = None
         self.halted_s = None
         self.connected, self.lacks = True, False
 
     def getTimestamp(self):
         now_s = time.monotonic() if self.halted_s is None else self.halted_s
+        self.begun_s = now_s if self.begun_s is None else self.begun_s
         return PERIOD_S * int((now_s - self.begun_s) / PERIOD_S)
 
     def getFtRawWrench(self):
@@ -78,9 +80,12 @@ def test_it_is_read_like_any_wrist_sensor(robots, driver):
     # Turned into tool axes, and the other way round: force by the sensor.
     wanted = [-2.0, -1.0, 10.5, -0.2, -0.1, -0.05]
     assert np.abs(samples.values - wanted).max() < 1e-5
-    steps = np.diff(samples.t_s)
-    assert (steps > 0).all()
-    assert np.median(steps) == pytest.approx(PERIOD_S, abs=5e-4)
+    assert (np.diff(samples.t_s) > 0).all()
+    # What a busy computer misses is counted: nothing of the robot's time is left out.
+    robot = robots[0]
+    robot.halted_s = time.monotonic()
+    told = round(robot.getTimestamp() / PERIOD_S)
+    until(lambda: driver.health.received + driver.health.lost == told)
     assert driver.identity.model == "built-in F/T"
     assert driver.rated.tolist() == [50.0, 50.0, 50.0, 10.0, 10.0, 10.0]
 

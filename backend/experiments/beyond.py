@@ -46,6 +46,7 @@ from backend.placement.strategy import XY, Reasoner
 from backend.sensing.episode import EpisodeLimits
 from backend.simulation.scene import Scene
 
+FORMAT = "touchdown-beyond/2"
 SINGLE = ("short", "long", "hex20", "rect12x28")
 """The first two are those of the tables, with the same seeds."""
 TOWERS = ("short+long", "short+hex20", "short+rect12x28")
@@ -114,7 +115,7 @@ class Beyond:
         """Return the counts of all finished trials, by cell and pooled by strategy."""
         cells, left_out = self.trials_of(store), self.left_out(store)
         return {
-            "format": "touchdown-beyond/1",
+            "format": FORMAT,
             "bench_sha256": bench_sha256(self.bench),
             "code": self.code,
             "models": dict(self.models),

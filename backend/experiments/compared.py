@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,7 +50,7 @@ class Compared:
         return found
 
 
-def sheets(answer: Json) -> list[Sheet]:
+def sheets(answer: Mapping[str, Any]) -> list[Sheet]:
     """Return the tables of an answer; without groups or a ceiling there are fewer."""
     found = [
         Sheet(

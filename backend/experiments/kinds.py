@@ -284,7 +284,7 @@ KINDS: Kinds = {
     "devices": devices,
     "twins": twins,
     "beyond": beyond,
-    "promises": promises,
     "asked-presses": asking.presses,
     "asked-trials": asking.trials,
+    "promises": promises,
 }

@@ -29,8 +29,13 @@ small{color:#55606B;display:block;font-size:.8em}code{font-size:.85em;overflow-w
 """
 
 
-def tables_page(tables: Json, twins: Json | None, films: Sequence[tuple[str, str]]) -> str:
-    """Return the whole page; ``films``: title and strip of each shown trial."""
+def tables_page(
+    tables: Json, twins: Json | None, films: Sequence[tuple[str, str]], beyond: str = ""
+) -> str:
+    """Return the whole page; ``films``: title and strip of each shown trial.
+
+    ``beyond``: the part on strategies beyond the paper, where they were compared.
+    """
     facts = tables["bench_facts"]
     slipped = facts["slipped"]
     slip = "not measured" if slipped is None else f"{100 * slipped:.0f} %"
@@ -45,6 +50,7 @@ def tables_page(tables: Json, twins: Json | None, films: Sequence[tuple[str, str
         _table1(tables["table1"]),
         _table2(tables["table2"]),
         _table3(tables["table3"]),
+        beyond,
         _reliability(facts["after_three_probes"]),
         "" if twins is None else _distribution(twins),
         _films(films),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -153,16 +152,15 @@ def _done(
 
 def _run_beyond(args: argparse.Namespace, screen: Screen, store: JobStore) -> int:
     """Compare strategies; writes ``beyond.json`` with all that is finished by now."""
-    from backend.core.files import write_atomically
     from backend.experiments.compared import sheets
+    from backend.experiments.writing import write_beyond
 
     plan = _beyond(args, store)
     jobs = plan.jobs()
     failed = _done(jobs, plan.effort, args, screen, store)
     answer = plan.answer(store)
     missing = sum(not store.has(spec.id) for spec in jobs)
-    path = args.out / "beyond.json"
-    write_atomically(path, json.dumps(answer, indent=1, sort_keys=True).encode() + b"\n")
+    path = write_beyond(args.out, answer)
     for sheet in sheets(answer):
         table = Table(title=sheet.title)
         for column in sheet.columns:

@@ -78,6 +78,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--origin", type=float, nargs=2, default=(0.0, 0.0), metavar=("X", "Y"),
         help="on devices: centre of the bottom in the frame of the arm, mm (default: 0 0)",
     )  # fmt: skip
+    parser.add_argument(
+        "--below", type=float, nargs=3, metavar=("X", "Y", "SIGMA"),
+        help="of a tower: centre of the touched bottom from that of the one below it, as measured, "
+        "and its standard uncertainty, mm (default: centred, by eye)",
+    )  # fmt: skip
     add_lab_arguments(parser)
     parser.add_argument("--preset", help="noise preset: mixed, quiet, hard, off, realistic")
     parser.add_argument(
@@ -132,7 +137,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         )
     )
     keep = Keep(runs, episodes=not args.no_episodes)
-    method = load_method(args.method) if args.method else None
+    method = _method(args, request)
     trials: list[TrialFinished] = []
     faults: list[FaultRaised] = []
     with _session(choice, keep, method, args, screen) as session:
@@ -162,6 +167,24 @@ def _request(args: argparse.Namespace, mode: Mode) -> StackRequest:
         model=args.model,
         origin_mm=(args.origin[0], args.origin[1]),
     )
+
+
+def _method(args: argparse.Namespace, request: StackRequest) -> StackSettings | None:
+    """Return the settings with what was entered of the tower; raises ``InputError``."""
+    from backend.config.method import StackSettings, TowerSettings
+
+    method = load_method(args.method) if args.method else None
+    if args.below is None:
+        return method
+    x, y, sigma = args.below
+    if len(request.bottoms) != 2 or not sigma > 0.0:
+        raise InputError(
+            "This needs a tower of two bottoms and a positive uncertainty.",
+            "--below",
+            "Name both with --bottom LOWER+UPPER; for higher towers use --method.",
+        )
+    tower = TowerSettings(offset_mm=((x, y),), sigma_mm=sigma)
+    return (method or StackSettings()).model_copy(update={"tower": tower})
 
 
 @contextmanager

@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 from backend.config.simulation import SimulationSettings, load_simulation
-from backend.experiments.beyond import Beyond, beyond
+from backend.experiments.beyond import FORMAT, Beyond, beyond
+from backend.experiments.beyond_page import beyond_page
 from backend.experiments.compared import Compared, sheets
 from backend.experiments.gap import gaps
 from backend.experiments.given_models import adopt_models, models_that_ship
 from backend.experiments.promises import STEPS, Promises, chart_of, promises, scores
 from backend.experiments.recipes import QUICK, TWO, Recipe
+from backend.experiments.writing import compared_beside, write_beyond
 from backend.jobs.running import run_job
 from backend.jobs.store import JobStore
 
@@ -126,3 +128,47 @@ def test_a_tower_and_groups_from_end_to_end(bench_v1: SimulationSettings, store:
     assert [len(sheet.columns) for sheet in sheets(found)] == [
         len(sheet.rows[0]) for sheet in sheets(found)
     ]
+
+
+def compared(*strategies: str) -> Json:
+    counts = {"value": 0.5, "low": 0.1, "high": 0.9, "n": 2}
+    cell = {
+        "piece": "pot",
+        "bottom": "long",
+        "placed": counts,
+        "unsafe": counts,
+        "outcomes": {"placed": 1, "fell": 1},
+        "probes": 3.0,
+        "excess_probes_median": 1.0,
+        "left_out": 0,
+    }
+    said = scores([answer([True, False], [True, False], [1.0, -1.0])])
+    return {
+        "format": FORMAT,
+        "bench_sha256": "a" * 64,
+        "code": "<1>",
+        "cells": [{"strategy": name, **cell} for name in strategies],
+        "pooled": [],
+        "statics": {
+            "cells": [],
+            "pooled": [{"strategy": name, **said} for name in strategies],
+        },
+        "gaps": [],
+    }
+
+
+def test_the_page_shows_every_strategy_and_escapes_what_it_is_told() -> None:
+    page = beyond_page(compared("mine", "<b>"))
+    assert page.count("mine pot long") == 1
+    assert page.count("<svg") == 4
+    assert "<b>" not in page
+    assert "&lt;1&gt;" in page
+    assert "SIMULATED BENCH" in page
+
+
+def test_tables_show_the_comparison_beside_them_if_it_is_of_their_bench(tmp_path: Path) -> None:
+    write_beyond(tmp_path, compared("mine"))
+    assert compared_beside(tmp_path, "a" * 64) == compared("mine")
+    assert compared_beside(tmp_path, "b" * 64) is None
+    assert compared_beside(tmp_path / "none", "a" * 64) is None
+    assert "mine" in (tmp_path / "beyond.html").read_text("utf-8")

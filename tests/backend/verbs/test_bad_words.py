@@ -67,3 +67,12 @@ def test_nothing_is_said_before_bad_words_are_refused(capsys, tmp_path) -> None:
     words = ["--dataset", str(tmp_path / "d"), "--runs", str(tmp_path / "r"), "--count", "0"]
     assert main(["collect", *words]) == 2
     assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    "words", [["--bottom", "short"], ["--bottom", "short+long", "--below", "1", "0", "0"]]
+)
+def test_an_entry_below_needs_a_tower_and_an_uncertainty(words, capsys) -> None:
+    entry = [] if "--below" in words else ["--below", "1", "0", "0.5"]
+    assert main(["stack", *words, *entry]) == 2
+    assert "--below" in capsys.readouterr().err

@@ -4,14 +4,24 @@ from __future__ import annotations
 
 from importlib.resources import files
 
-from PySide6.QtCore import QByteArray, QRectF, Qt
+from PySide6.QtCore import QByteArray, QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QIcon, QPainter, QPixmap
 from PySide6.QtSvg import QSvgRenderer
+from PySide6.QtWidgets import QAbstractButton
+
+ICON_SHARE = 0.9
 
 
 def icon(name: str, colour: QColor, size_px: int = 20) -> QIcon:
     """Return icon ``name`` (a file in resources/icons) drawn in ``colour``."""
     return QIcon(pixmap(name, colour, size_px * 2))
+
+
+def fit_icon(*buttons: QAbstractButton) -> None:
+    """Draw the icons of buttons as high as their letters."""
+    for button in buttons:
+        side = round(ICON_SHARE * button.fontMetrics().height())
+        button.setIconSize(QSize(side, side))
 
 
 def pixmap(name: str, colour: QColor, size_px: int) -> QPixmap:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from PySide6.QtCore import QSize
 from PySide6.QtWidgets import (
     QComboBox,
     QDoubleSpinBox,
@@ -17,7 +16,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from widgets.icons import icon
+from widgets.icons import fit_icon, icon
 from widgets.number_inset import inset
 from widgets.panel import Panel, label
 from widgets.theme import Theme
@@ -231,8 +230,7 @@ class RunPanel(Panel):
             (self.cancel, "cancel"),
         ):
             button.setIcon(icon(name, t.colour("text" if button.isEnabled() else "disabled")))
-        for button in (self.start, self.pause, self.cancel):
-            button.setIconSize(QSize(15, 15))
+        fit_icon(self.start, self.pause, self.cancel)
 
 
 def _buddy(text: str, field: QWidget) -> QWidget:

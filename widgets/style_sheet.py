@@ -79,20 +79,22 @@ QComboBox, QAbstractSpinBox, QLineEdit {{ background: {bg}; color: {text};
     selection-background-color: {selection}; selection-color: {selection_text}; }}
 QComboBox:disabled, QAbstractSpinBox:disabled, QLineEdit:disabled {{ color: {muted};
     border-color: {hairline}; background: {panel}; }}
-QComboBox::drop-down {{ border: none; width: 22px; }}
-QCheckBox::indicator {{ width: 13px; height: 13px; border: 1px solid {border};
+QComboBox::drop-down {{ border: none; width: {drop}px; }}
+QCheckBox::indicator {{ width: {tick}px; height: {tick}px; border: 1px solid {border};
     border-radius: 3px; background: {bg}; }}
 QCheckBox::indicator:checked {{ image: url(icons:tick-{name}.svg); }}
 QCheckBox::indicator:disabled {{ border-color: {hairline}; }}
 QCheckBox::indicator:focus {{ border: 2px solid {focus}; }}
-QComboBox::down-arrow {{ image: url(icons:down-{name}.svg); width: 10px; height: 10px; }}
+QComboBox::down-arrow {{ image: url(icons:down-{name}.svg); width: {arrow}px; height: {arrow}px; }}
 QComboBox::down-arrow:disabled {{ image: none; }}
 QComboBox QAbstractItemView {{ background: {raised}; color: {text}; border: 1px solid {border};
     selection-background-color: {selection}; selection-color: {selection_text}; }}
-QAbstractSpinBox::up-button, QAbstractSpinBox::down-button {{ border: none; width: 18px;
+QAbstractSpinBox::up-button, QAbstractSpinBox::down-button {{ border: none; width: {step}px;
     background: transparent; }}
-QAbstractSpinBox::up-arrow {{ image: url(icons:up-{name}.svg); width: 9px; height: 9px; }}
-QAbstractSpinBox::down-arrow {{ image: url(icons:down-{name}.svg); width: 9px; height: 9px; }}
+QAbstractSpinBox::up-arrow {{ image: url(icons:up-{name}.svg);
+    width: {small_arrow}px; height: {small_arrow}px; }}
+QAbstractSpinBox::down-arrow {{ image: url(icons:down-{name}.svg);
+    width: {small_arrow}px; height: {small_arrow}px; }}
 
 QAbstractSpinBox QLineEdit {{ border: none; padding: 0; background: transparent;
     min-height: 0; }}
@@ -150,6 +152,10 @@ QAbstractSpinBox::up-arrow:disabled, QAbstractSpinBox::down-arrow:disabled {{ im
 """Where all is black or white, what is disabled differs by its frame too, not by shade alone."""
 
 
+MARKS = {"arrow": 1.0, "small_arrow": 0.9, "tick": 1.3, "drop": 2.2, "step": 1.8}
+"""Pixels per point of the text: marks and the places they stand in grow with it."""
+
+
 def style_sheet(tokens: Mapping[str, str], points: float) -> str:
     """Return the style sheet for the tokens of a theme and the base font size in points."""
     sizes = {
@@ -157,5 +163,7 @@ def style_sheet(tokens: Mapping[str, str], points: float) -> str:
         "head": f"{points * 1.15:.2f}",
         "figure": f"{points * 1.7:.2f}",
     }
+    for mark, share in MARKS.items():
+        sizes[mark] = f"{share * points:.0f}"
     sheet = _SHEET + _CONTRAST if tokens["name"] == "contrast" else _SHEET
     return sheet.format(**tokens, **sizes)

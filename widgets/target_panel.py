@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from PySide6.QtCore import QSize
 from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
@@ -19,7 +18,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from widgets.icons import icon
+from widgets.icons import fit_icon, icon
 from widgets.name_field import NameField
 from widgets.number_inset import inset
 from widgets.panel import Panel, label, rule
@@ -335,8 +334,7 @@ class TargetPanel(Panel):
         paused = self.pause.text() == "Resume"
         for button, name in ((self.pause, "play" if paused else "pause"), (self.end, "cancel")):
             button.setIcon(icon(name, t.colour("text" if button.isEnabled() else "disabled")))
-        for button in (self.start, self.pause, self.end):
-            button.setIconSize(QSize(15, 15))
+        fit_icon(self.start, self.pause, self.end)
 
 
 def _buddy(text: str, field: QWidget) -> QWidget:

@@ -17,7 +17,7 @@ from PySide6.QtWidgets import (
 )
 
 from widgets.device_chip import DeviceChip
-from widgets.icons import icon
+from widgets.icons import fit_icon, icon
 from widgets.panel import label
 from widgets.servo_button import ServoButton
 from widgets.state_pill import StatePill
@@ -70,7 +70,6 @@ class TopBar(QFrame):
         self.stop = QPushButton("STOP motion (software)")
         self.stop.setProperty("role", "stop")
         self.stop.setIcon(icon("stop", QColor("#FFFFFF")))
-        self.stop.setIconSize(QSize(16, 16))
         self.stop.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.stop.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Preferred)
         self.stop.setAccessibleName("STOP motion, software stop")
@@ -121,6 +120,7 @@ class TopBar(QFrame):
     def fit(self) -> None:
         """Whole chips, else names only, else whole chips on a row of their own."""
         chips, room = tuple(self.chips.values()), self.width()
+        fit_icon(self.stop)
         # Room for the usual words, so that the chips do not jump when the arm starts.
         self._robot.setMinimumWidth(self._robot.fontMetrics().horizontalAdvance(USUAL_MODE))
         figures = self.override.fontMetrics().horizontalAdvance("100 %")

@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from widgets.icons import icon
+from widgets.icons import fit_icon, icon
 from widgets.number_inset import inset
 from widgets.panel import Panel, label
 from widgets.theme import Theme
@@ -217,6 +217,7 @@ class TrainingFormPanel(Panel):
         t = self._theme.tokens
         ink = t.colour("panel") if self.start.isEnabled() else t.colour("disabled")
         self.start.setIcon(icon("play", ink))
+        fit_icon(self.start)
 
 
 class _Numbers:

@@ -373,7 +373,7 @@ class TouchdownApp(QObject):
     def _connect_failed(self, error: Exception) -> None:
         self.bar.pill.show_state(PillState("NO DEVICES", "ring", "grey"))
         self.workspaces.show_waiting("No bench", "Nothing is connected.")
-        self.cards.show_card(failed_card(error))
+        self.cards.show_card(failed_card(error, self._connect_again))
 
     def _draw_frame(self) -> None:
         if self.link is None or self._chips is None:

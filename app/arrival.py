@@ -50,12 +50,13 @@ class Arrival:
             self._arrived.append(arrived)
 
 
-def failed_card(error: Exception) -> CardText:
-    """Return the card of a bench that could not be prepared."""
+def failed_card(error: Exception, again: Callable[[], None]) -> CardText:
+    """Return the card of a bench that could not be prepared; ``again`` tries once more."""
     return CardText(
         "CONNECT",
         f"The bench could not be prepared: {error}",
         "Nothing is connected; recorded runs can still be reviewed.",
-        "Press Ctrl+L to try again, or run 'touchdown doctor' for the cause.",
+        "Try again (Ctrl+L), or run 'touchdown doctor' for the cause.",
         reset=False,
+        offer=("Try again", again),
     )

@@ -32,7 +32,8 @@ class CardText:
 
     ``passing``: an order was refused; the next one that is carried out removes it. ``notice``: said
     once; another wording under the same code is another card, and none makes room unread.
-    ``obstacle``: a run waits until it is removed; the card goes when the run goes on.
+    ``obstacle``: a run waits until it is removed; the card goes when the run goes on. ``offer``:
+    the next step as a button of its own, and what it does.
     """
 
     code: str
@@ -45,6 +46,7 @@ class CardText:
     passing: bool = False
     notice: bool = False
     obstacle: bool = False
+    offer: tuple[str, Callable[[], None]] | None = None
 
     @property
     def role(self) -> str:
@@ -120,12 +122,16 @@ class FaultCard(QFrame):
         row.addWidget(self.fold)
         row.addWidget(self._button("Details", self._toggle))
         row.addWidget(self._button("Copy", self._copy))
+        if self.text.offer is not None:
+            offer = self._button(self.text.offer[0], self._accept)
+            offer.setProperty("role", "primary")
+            row.addWidget(offer)
         last = "Reset" if self.text.reset else "Dismiss"
-        act = self._button(last, self._act)
+        end = self._button(last, self._act)
         if self.text.reset:
-            act.setProperty("role", "reset")
-            act.setToolTip("Clear the latched faults and the stop. Nothing moves by itself.")
-        row.addWidget(act)
+            end.setProperty("role", "reset")
+            end.setToolTip("Clear the latched faults and the stop. Nothing moves by itself.")
+        row.addWidget(end)
         column = QVBoxLayout(self)
         column.setContentsMargins(12, 8, 10, 8)
         column.addLayout(row)
@@ -142,6 +148,12 @@ class FaultCard(QFrame):
 
     def _copy(self) -> None:
         QGuiApplication.clipboard().setText(f"{self._plain()}\n{self._details.toPlainText()}")
+
+    def _accept(self) -> None:
+        assert self.text.offer is not None
+        act = self.text.offer[1]
+        self._act()
+        act()
 
     def _act(self) -> None:
         self._on_button(self.text)

@@ -331,3 +331,10 @@ def test_a_bench_that_cannot_be_built_is_a_card(main, qtbot):
     assert main.cards.codes == ("CONNECT",)
     assert "no such model" in main.cards.card("CONNECT").text.what
     assert main.bar.pill.state.word == "NO DEVICES"
+    buttons = main.cards.card("CONNECT").findChildren(QPushButton)
+    next(button for button in buttons if button.text() == "Try again").click()
+    assert main.cards.codes == ()
+    assert main.bar.pill.state.word == "CONNECTING"
+    qtbot.waitUntil(lambda: bool(main._arrival._arrived), timeout=60_000)
+    settle(main)
+    assert main.cards.codes == ("CONNECT",)

@@ -7,26 +7,29 @@ from PySide6.QtGui import QColor, QPainter
 
 from widgets.theme import Theme, ui_font
 
+LINE_GAP_PX = 5
+
 
 def draw_message(
     painter: QPainter, rect: QRect | QRectF, theme: Theme, text: str, detail: str = ""
 ) -> None:
-    """Write an empty state in the middle of ``rect``."""
-    area = QRectF(rect)
+    """Write an empty state in the middle of ``rect``: as many lines as the words need there."""
     both = int(Qt.AlignmentFlag.AlignHCenter | Qt.TextFlag.TextWordWrap)
-    middle = area.center().y()
-    painter.setPen(theme.tokens.colour("text"))
-    painter.setFont(ui_font(theme.scale, 1.1, 500))
-    line = painter.fontMetrics().height()
-    painter.drawText(
-        QRectF(area.left() + 8, middle - line - 2, area.width() - 16, line + 2), both, text
-    )
-    if detail:
-        painter.setPen(theme.tokens.colour("muted"))
-        painter.setFont(ui_font(theme.scale, 0.92))
-        painter.drawText(
-            QRectF(area.left() + 12, middle + 4, area.width() - 24, area.height() / 2), both, detail
-        )
+    area = QRectF(rect).adjusted(8, 0, -8, 0)
+    parts = [(text, "text", ui_font(theme.scale, 1.1, 500)),
+             (detail, "muted", ui_font(theme.scale, 0.92))]  # fmt: skip
+    boxes = []
+    for words, token, font in parts:
+        painter.setFont(font)
+        high = painter.boundingRect(area, both, words).height() if words else 0.0
+        boxes.append((words, token, font, high))
+    top = area.center().y() - (sum(high for *_, high in boxes) + LINE_GAP_PX) / 2
+    for words, token, font, high in boxes:
+        if words:
+            painter.setFont(font)
+            painter.setPen(theme.tokens.colour(token))
+            painter.drawText(QRectF(area.left(), top, area.width(), high), both, words)
+            top += high + LINE_GAP_PX
 
 
 def draw_stale(painter: QPainter, rect: QRectF, theme: Theme, age_s: float) -> None:

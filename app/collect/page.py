@@ -125,8 +125,8 @@ class CollectPage(QWidget):
         row.setContentsMargins(10, 8, 10, 8)
         row.setSpacing(8)
         row.addWidget(self._left, 5)
-        row.addLayout(middle, 10)
-        row.addWidget(self._right, 8)
+        row.addLayout(middle, 12)
+        row.addWidget(self._right, 9)
         self.fit_to_theme()
 
     def _live_panel(self) -> Panel:

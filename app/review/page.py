@@ -38,6 +38,8 @@ ORDERS = (
     ("oldest", "Oldest"),
     ("pair", "By pair"),
 )
+STORY_PX = 84
+"""What happened shows three lines at the least size of the window."""
 FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
 
 
@@ -90,6 +92,7 @@ class ReviewPage(QWidget):
         self.belief, self.legend = BeliefView(theme), BeliefLegend(theme)
         # At the least size of the window the strip below has two lines to a map.
         self.belief.setMinimumHeight(170)
+        self.story.setMinimumHeight(STORY_PX)
         self.decision = DecisionPanel(_nothing, _nothing)
         self.strip = ProbeStrip(theme, intents.choose_probe)
         self.score = ScorePanel(theme, "Outcomes")

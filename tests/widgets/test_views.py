@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QImage
+from PySide6.QtGui import QImage, QPainter
 
 from backend.core.flow import MarkerField, Outcome, Stability, SupportKind, TactileFrame
 from tests.app.stand_in import REST, action, belief, stability
@@ -13,6 +13,7 @@ from widgets.decision_panel import DecisionPanel, decide_in_words, signed_mm
 from widgets.device_chip import ChipValue, DeviceChip
 from widgets.force_traces import TracePlot
 from widgets.freshness import Age
+from widgets.overlay import draw_message
 from widgets.probe_strip import ProbeStrip
 from widgets.score_panel import Score, ScorePanel
 from widgets.side_view import SideBody, SideScene, SideView
@@ -315,3 +316,17 @@ def test_chip_and_side_view(qtbot, theme):
         hand = None if tilt else (2.0, 30.0)
         view.show_scene(SideScene((bottom,), piece, hand, 15.0, -24.0, "Pot on Short"))
         assert np.abs(pixels(view) - empty).max() > 60
+
+
+def test_words_of_an_empty_view_take_the_lines_they_need(qapp):
+    def ink(width):
+        image = QImage(width, 160, QImage.Format.Format_RGB32)
+        image.fill(0)
+        painter = QPainter(image)
+        draw_message(painter, image.rect(), Theme(), "No probe in this trial yet", "It follows.")
+        painter.end()
+        rows = {y for y in range(160) for x in range(width) if image.pixel(x, y) & 0xFFFFFF}
+        return max(rows) - min(rows)
+
+    # One line more of the title; the detail stays below it.
+    assert ink(140) > 1.4 * ink(400)

@@ -28,6 +28,7 @@ from backend.rig.connection import Connection
 from backend.runs.attended import judged
 from backend.runs.requests import RunState
 from backend.runs.room import CONSEQUENCE, NEXT_STEP
+from tests.app.test_review_time import make_run
 from tests.app.tiny_packs import write_tiny_packs
 from tests.backend.rig.scripted import scripted
 
@@ -95,6 +96,40 @@ def by_hand(stage: Stage) -> Iterator[str]:
     page.jog.pace.steps[0].setChecked(True)
     stage.bench.hand = None
     stage.live(0.0)
+
+
+def beside_the_queue(stage: Stage) -> Iterator[str]:
+    """Beside the queue: agreement, log, many at once, health; a random audit; no queue left."""
+    label = stage.main.workspaces["collect"].label
+    page = label.label_page
+    for tab, name in ((1, "agree"), (2, "log"), (3, "bulk"), (4, "health")):
+        page.side.choose(tab)
+        label.side.show("")
+        stage.settle()
+        yield f"label-{name}"
+    page.side.choose(0)
+    for queue in ("audit", "conflicts"):
+        page.queue.setCurrentIndex(page.queue.findData(queue))
+        label._choose_queue(queue)
+        stage.settle()
+        yield f"label-queue-{queue}"
+    page.queue.setCurrentIndex(page.queue.findData("unlabelled"))
+    label._choose_queue("unlabelled")
+    stage.settle()
+
+
+def reviewed(stage: Stage, runs: Path) -> Iterator[str]:
+    """A recorded run with its pictures, then a series of the dataset."""
+    folder = runs / "20260301-101500-pot-short"
+    runs.mkdir(exist_ok=True)
+    make_run(folder)
+    workspace = stage.main.workspaces["review"]
+    workspace.presenter.recordings.refresh()
+    stage.until(lambda: not workspace.reader.busy)
+    for row, name in ((0, "run"), (1, "series")):
+        workspace.page.runs.choose_row(row)
+        stage.until(lambda: not workspace.reader.busy)
+        yield f"review-{name}"
 
 
 def trained(stage: Stage, packs: Path) -> Iterator[str]:

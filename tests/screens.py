@@ -24,7 +24,7 @@ from PySide6.QtWidgets import QApplication
 from app.application import TouchdownApp
 from app.error_hooks import ErrorBox
 from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import EpisodeContext, Label
+from backend.catalogue.values import EpisodeContext, Label, Looked
 from backend.core.flow import Outcome, PlaceAction
 from backend.objects.catalogue import load_catalogue
 from backend.runs.requests import RunState
@@ -94,7 +94,11 @@ def _make_dataset(folder: Path) -> None:
             episode = make_episode(seed, frames=8)
             x_um, y_um = np.rint(1e3 * episode.offset_mm).astype(int).tolist()
             label = Label(x_um, y_um, 0, 300) if seed < 20 else Label()
-            dataset.record(episode, label, source="commanded", context=context)
+            uuid = dataset.record(episode, label, source="commanded", context=context).uuid
+            if seed < 8:
+                for person, by_um in (("Ann", 180), ("Bo", -120)):
+                    said = Label(x_um + by_um * (seed % 3), y_um - by_um, 0, 300)
+                    dataset.labels.opinion(person, uuid, said, looked=Looked(5200 + 90 * seed))
 
 
 class Stage:
@@ -156,6 +160,7 @@ class Stage:
         yield from screen_panels.by_hand(self)
         yield from self._collect_and_label()
         yield from self._train_and_review()
+        yield from screen_panels.reviewed(self, self._folder / "runs")
         yield from screen_panels.trained(self, self._folder.parent / "packs")
         yield from self._stack()
         yield from screen_panels.attended(self)
@@ -206,6 +211,7 @@ class Stage:
         collect.page.show_half("label")
         self.settle()
         yield "label"
+        yield from screen_panels.beside_the_queue(self)
         collect.page.show_half("collect")
 
     def _train_and_review(self) -> Iterator[str]:

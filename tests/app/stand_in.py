@@ -51,6 +51,7 @@ from backend.devices.protocols import (
 from backend.objects.catalogue import load_catalogue
 from backend.runs.gate import Gate
 from backend.runs.requests import RunState, RunStatus
+from widgets.decision_panel import signed_mm
 
 ROWS, COLS = np.mgrid[0:7, 0:9]
 REST = np.stack([34.0 + 31.5 * COLS.ravel(), 30.0 + 30.0 * ROWS.ravel()], axis=1)
@@ -229,13 +230,16 @@ class StandInBench:
         publish(BeliefUpdated(t, belief(probe, offset), probe))
         publish(StabilityJudged(t, stability(offset, margin), probe))
         publish(ActionChosen(t, action(offset, margin), probe, 4.2))
-        publish(Said(t, f"Probe {probe}: contact on 38 % of the face. Verdict {margin:+.1f} mm."))
+        words = f"contact on 38 % of the face. Verdict {signed_mm(margin)}."
+        publish(Said(t, f"Probe {probe}: {words}"))
 
     def tell_end(self, outcome=Outcome.PLACED, margin=1.6):
         """Announce release and the end of the trial."""
         t = self.clock_s()
         self.hub.publish(Released(t, 3, outcome is Outcome.PLACED, margin, None))
-        reason = "The piece stands, 1.6 mm inside its support."
+        stands = outcome is Outcome.PLACED
+        reason = f"The piece {'stands' if stands else 'tips'}, {abs(margin):.1f} mm "
+        reason += f"{'inside' if margin > 0 else 'outside'} its support."
         self.hub.publish(TrialFinished(t, self._trial, 7, outcome, reason, 3, 0, margin))
 
     def tell_finish(self):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import TypeVar
 
 from PySide6.QtCore import QEvent, QObject, QPoint, QRect
 from PySide6.QtWidgets import QApplication, QScrollArea, QWidget
@@ -35,6 +36,7 @@ class Tour(QObject):
         self._go, self._done = go, done
         self.stops: Sequence[TourStop] = ()
         self.at = -1
+        self._place: QWidget | None = None
         self.spotlight: Spotlight | None = None
         self.card: TourCard | None = None
 
@@ -83,7 +85,7 @@ class Tour(QObject):
         """Stand where the place is now."""
         if not self.active or self.card is None or self.spotlight is None:
             return
-        hole = self._hole(self.stops[self.at].place)
+        hole = QRect() if self._place is None else self._hole(self._place)
         self.spotlight.show_hole(hole)
         self.card.fit(hole)
         self.card.raise_()
@@ -94,9 +96,10 @@ class Tour(QObject):
             self._go(stop.workspace)
         # The page that came to the front has its places only after its layout.
         QApplication.sendPostedEvents(None, QEvent.Type.LayoutRequest)
-        scroll = _scroll_of(stop.place)
+        self._place = stop.place()
+        scroll = _scroll_of(self._place)
         if scroll is not None:
-            scroll.ensureWidgetVisible(stop.place)
+            scroll.ensureWidgetVisible(self._place)
         assert self.card is not None
         self.card.show_stop(stop, self.at, len(self.stops))
         self.fit()
@@ -113,41 +116,50 @@ def stops_of(
     window: MainWindow, bar: TopBar, workspaces: Mapping[str, Workspace]
 ) -> tuple[TourStop, ...]:
     """Return the stops, in the order of a day at the bench."""
-    operate, collect = workspaces["operate"], workspaces["collect"]
-    train, stack, review = workspaces["train"], workspaces["stack"], workspaces["review"]
-    assert isinstance(operate, OperateWorkspace)
-    assert isinstance(collect, CollectWorkspace)
-    assert isinstance(train, TrainWorkspace)
-    assert isinstance(stack, StackWorkspace)
-    assert isinstance(review, ReviewWorkspace)
-    collect.page.bring(COLLECT)
     return (
-        TourStop("", bar.pill, "This bench is simulated",
+        TourStop("", lambda: bar.pill, "This bench is simulated",
                  "Fingers, wrench, arm and gripper are computed, so nothing can break. Here stands "
                  "what the bench is doing; the devices beside it open their raw fields."),
-        TourStop("", bar.stop, "STOP is everywhere",
+        TourStop("", lambda: bar.stop, "STOP is everywhere",
                  "It halts arm and gripper at once and keeps the grip. F12 does the same from "
                  "every page, dialog and text field. Then look at the bench and press Reset."),
-        TourStop("", window.rail["operate"], "Five workspaces",
+        TourStop("", lambda: window.rail["operate"], "Five workspaces",
                  "Operate, Collect & Label, Train, Stack, Review: Ctrl+1 to Ctrl+5."),
-        TourStop("operate", operate.page.jog, "Move by hand",
+        TourStop("operate", lambda: _of(workspaces, OperateWorkspace).page.jog, "Move by hand",
                  "Hold a pad: the arm moves as long as you hold it, or one step a press. Every pad "
                  "says how far it may go."),
-        TourStop("operate", operate.page.probe, "Probe once",
+        TourStop("operate", lambda: _of(workspaces, OperateWorkspace).page.probe, "Probe once",
                  "Presses where the arm stands, and tells what was felt (F5)."),
-        TourStop("collect", collect.collect_page.target, "Collect, then label",
-                 "So many labelled probes of one pair, here. F2 changes to labelling."),
-        TourStop("train", train.page.form, "Train a model",
+        TourStop("collect", lambda: _target(workspaces), "Collect, then label",
+                 "So many labelled probes of one pair, here. F2 changes to labelling: there Enter "
+                 "accepts and goes on."),
+        TourStop("train", lambda: _of(workspaces, TrainWorkspace).page.form, "Train a model",
                  "On the labelled probes; curves, samples and comparison stand beside it."),
-        TourStop("stack", stack.page.run, "Stack by touch",
+        TourStop("stack", lambda: _of(workspaces, StackWorkspace).page.run, "Stack by touch",
                  "Press Start stacking: the piece is pressed on, felt, shifted, and let go where "
                  "it will stand. The belief map and the decision in words follow every probe."),
-        TourStop("review", review.page.runs, "Look at it again",
+        TourStop("review", lambda: _of(workspaces, ReviewWorkspace).page.runs, "Look at it again",
                  "Every run is kept: pictures, wrench, belief and decision on one line of time."),
-        TourStop("", window.rail["keys"], "Find your way",
+        TourStop("", lambda: window.rail["keys"], "Find your way",
                  "Ctrl+K finds every command, F1 shows all keys. 'Layout' arranges the columns of "
                  "a workspace. This tour is in the palette too: Ctrl+K, tour."),
     )  # fmt: skip
+
+
+W = TypeVar("W", bound=Workspace)
+
+
+def _of(workspaces: Mapping[str, Workspace], kind: type[W]) -> W:
+    """Return the workspace of this kind, with its page."""
+    found = workspaces[kind.name]
+    assert isinstance(found, kind)
+    return found
+
+
+def _target(workspaces: Mapping[str, Workspace]) -> QWidget:
+    collect = _of(workspaces, CollectWorkspace)
+    collect.page.bring(COLLECT)
+    return collect.collect_page.target
 
 
 def _scroll_of(place: QWidget) -> QScrollArea | None:

@@ -22,10 +22,13 @@ ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
 
 @dataclass(frozen=True, slots=True)
 class TourStop:
-    """``workspace`` is brought to the front ("": any); ``place`` is the widget that stands out."""
+    """``workspace`` is brought to the front ("": any); ``place`` returns what stands out there.
+
+    It is asked once the workspace is in front: before, its page may not have been made.
+    """
 
     workspace: str
-    place: QWidget
+    place: Callable[[], QWidget]
     title: str
     text: str
 

@@ -24,6 +24,8 @@ from widgets.target_panel import TargetForm, TargetIntents
 
 COLLECT, LABEL = "collect", "label"
 TITLES = {COLLECT: "Collect", LABEL: "Label"}
+LABEL_WORDS = "Enter accepts the label and goes on, arrows move it, D rejects; F1 shows all keys."
+"""The keys of the half that has no button for them."""
 
 
 class CollectWorkspace(Workspace):
@@ -192,6 +194,7 @@ class CollectWorkspace(Workspace):
     def _half_came(self, name: str) -> None:
         if name == LABEL:
             self.label.enter()
+            self._desk.say(LABEL_WORDS)
             return
         self.label.leave()
         self.collect_page.setFocus()

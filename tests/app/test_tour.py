@@ -17,11 +17,13 @@ KEY = Qt.Key
 def test_every_stop_lights_its_place_and_the_card_stands_in_the_window(live, size):
     live.window.resize(*size)
     live.actions.action("tour").trigger()
+    # No page is made before its stop.
+    assert [ws.name for ws in live.workspaces.ready] == ["stack"]
     pages, tour = [], live.tour
     for at in range(len(tour.stops)):
         QApplication.processEvents()
         tour.fit()
-        place, hole = tour.stops[at].place, tour.spotlight.hole
+        place, hole = tour.stops[at].place(), tour.spotlight.hole
         assert place.isVisible(), tour.stops[at].title
         corner = place.mapTo(live.window, QPoint(0, 0))
         assert hole.contains(QRect(corner, place.size()).intersected(live.window.rect()))

@@ -20,7 +20,7 @@ from backend.simulation import nuisance
 from backend.simulation.conditions import Conditions, true_offset_mm
 from backend.simulation.episodes import Eye, draw_noise, gel_of, observe, rule_of, usable
 from backend.simulation.holding import mounting_of, start_command_mm
-from backend.simulation.mechanics import Carried, begin
+from backend.simulation.mechanics import Carried, Region, begin
 from backend.simulation.nuisance import Scope
 from backend.simulation.pressing import press
 from backend.simulation.scene import Scene
@@ -57,11 +57,7 @@ class Lockstep:
 
     def __init__(self, scenes: Sequence[Scene], probe: ProbeSettings | None = None) -> None:
         first = scenes[0]
-        if any(
-            (s.piece, s.surface, s.settings, _free(s))
-            != (first.piece, first.surface, first.settings, _free(first))
-            for s in scenes
-        ):
+        if any(self.shared(s) != self.shared(first) for s in scenes):
             raise ValueError("trials in lockstep share piece, surface and settings")
         self.scenes, self._first = scenes, first
         self._probe = probe or ProbeSettings()
@@ -83,6 +79,15 @@ class Lockstep:
         self._slid_mm = np.zeros((len(scenes), 2))
         self._stands = [stand_of(tower, first.settings.support) for tower in self.bottoms]
 
+    @staticmethod
+    def shared(scene: Scene) -> tuple[object, ...]:
+        """Return what must be the same in all scenes."""
+        return scene.piece, scene.surface, scene.settings, _free(scene)
+
+    def surfaces(self, rows: NDArray[np.intp]) -> Region:
+        """Return what lies under the faces of the trials ``rows``."""
+        return self._first.surface
+
     def start_commands_mm(self) -> FloatArray:
         """Return (B, 2): commands of the face that put each piece at its scene's start."""
         return np.stack([start_command_mm(scene)[:2] for scene in self.scenes])
@@ -98,7 +103,7 @@ class Lockstep:
         carried = self._carried.take(rows)
         state = begin(
             self._points_mm,
-            self._first.surface,
+            self.surfaces(rows),
             true_offset_mm(commands_mm, conditions, carried.slip) - self._slid_mm[rows],
             conditions,
             carried,

@@ -1,0 +1,1 @@
+"""Learned fusion: from the probes of one gripping to how far any point lies within the support."""

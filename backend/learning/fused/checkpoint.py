@@ -1,0 +1,139 @@
+"""The fusing network on disk: ``<name>.safetensors`` with a JSON card. Loading runs no code."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from safetensors.numpy import save as save_arrays
+
+from backend.core.faults import InputError
+from backend.core.files import write_atomically
+from backend.learning.checkpoint import card_path, parse_arrays
+from backend.learning.features import VECTOR_ORDER
+from backend.learning.fused.shape import ARCH, FusedShape, expected_arrays
+from backend.learning.fused.summary import TICKS
+
+MAX_BYTES = 2_000_000
+FIX = "Use the one that came with Touchdown, or train again with 'touchdown experiment fused'."
+Size = Annotated[int, Field(ge=1, le=1024)]
+
+
+class FusedSizes(BaseModel):
+    """Sizes of the network."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    width: Size
+    heads: Size
+    layers: Annotated[int, Field(ge=1, le=8)]
+    inner: Size
+    parts: Annotated[int, Field(ge=1, le=16)]
+
+
+class FusedCard(BaseModel):
+    """What the weights are and what they were made from."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    format: Literal["touchdown-fused/1"] = "touchdown-fused/1"
+    arch: Literal["causal-attention-inset/1"] = ARCH
+    hyper: FusedSizes
+    vector_order: str = VECTOR_ORDER
+    ticks: tuple[int, ...] = TICKS
+    answers: str = "how far a point lies within the support, mm: a mixture of normal distributions"
+    family: str = ""
+    """The pieces and bottoms that it was trained on, in words."""
+    left_out: tuple[str, ...] = ()
+    """Pieces and bottoms that nothing in the training resembles."""
+    bench_sha256: str
+    data_sha256: str
+    seed: int
+    training: dict[str, Any] = {}
+    metrics: dict[str, Any] = {}
+    program_version: str
+    weights_sha256: str = ""
+    licence: str = "Apache-2.0"
+    simulated: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class FusedCheckpoint:
+    """A loaded network: its arrays by name, as ``shape.expected_arrays`` lists them; its card."""
+
+    arrays: Mapping[str, NDArray[np.float32]]
+    card: FusedCard
+
+    @property
+    def shape(self) -> FusedShape:
+        """Sizes of the network."""
+        return FusedShape(**self.card.hyper.model_dump())
+
+
+def save_fused(path: Path, arrays: Mapping[str, NDArray[np.float32]], card: FusedCard) -> FusedCard:
+    """Write weights and card; returns the card with the weights' hash."""
+    content = save_arrays({name: np.ascontiguousarray(array) for name, array in arrays.items()})
+    sealed = card.model_copy(update={"weights_sha256": hashlib.sha256(content).hexdigest()})
+    write_atomically(path, content)
+    text = json.dumps(sealed.model_dump(), indent=2, sort_keys=True, ensure_ascii=False)
+    write_atomically(card_path(path), text.encode("utf-8") + b"\n")
+    return sealed
+
+
+def load_fused(path: Path) -> FusedCheckpoint:
+    """Load and check a network; whatever is wrong raises one ``InputError`` naming the file.
+
+    Checked: size, card, hash, name, shape and type of every array, finite values.
+    """
+    content, about = _read(path), _read(card_path(path))
+    try:
+        card = FusedCard.model_validate_json(about)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "(file)"
+        raise _bad(card_path(path), f"Bad card, '{key}': {first['msg']}") from error
+    if hashlib.sha256(content).hexdigest() != card.weights_sha256:
+        raise _bad(path, "The weights are damaged or not those of their card (SHA-256 differs)")
+    if card.vector_order != VECTOR_ORDER or card.ticks != TICKS:
+        raise _bad(path, "It reads other channels or instants than this program")
+    found = FusedCheckpoint(parse_arrays(content, path), card)
+    expected = expected_arrays(found.shape)
+    if {name: array.shape for name, array in found.arrays.items()} != expected:
+        raise _bad(path, "Its arrays are not those that its card announces")
+    if any(a.dtype != np.float32 or not np.isfinite(a).all() for a in found.arrays.values()):
+        raise _bad(path, "It holds values that are not finite 32-bit numbers")
+    if not (found.arrays["scale"] > 0).all():
+        raise _bad(path, "'scale' holds values that are not positive")
+    return found
+
+
+def shipped_path() -> Path:
+    """Return where the network that comes with the program lies."""
+    return Path(str(files("resources"))) / "models" / "fused" / "fused.safetensors"
+
+
+@lru_cache(maxsize=2)
+def shipped_fused() -> FusedCheckpoint:
+    """Return the network that comes with the program; raises ``InputError``."""
+    return load_fused(shipped_path())
+
+
+def _read(path: Path) -> bytes:
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise _bad(path, "The file is too large for a fusing network")
+        return path.read_bytes()
+    except OSError as error:
+        reason = error.strerror or "unreadable"
+        raise InputError(f"Cannot read the file: {reason}.", str(path), FIX) from error
+
+
+def _bad(path: Path, what: str) -> InputError:
+    return InputError(f"{what}.", str(path), FIX)

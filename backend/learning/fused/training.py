@@ -1,0 +1,188 @@
+"""Training the fusing network: on every first part of every sequence, and its mirror images."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from backend.core.flow import FloatArray
+from backend.learning.adam import Adam
+from backend.learning.fused.forward import point_inputs
+from backend.learning.fused.net import FusedNet, arrays_of, surprise
+from backend.learning.fused.shape import FusedShape
+from backend.learning.fused.summary import (
+    LENGTH_MM,
+    Face,
+    mirrored,
+    probe_inputs,
+    typical_fields,
+)
+from backend.objects.shapes import edge_normals
+
+POINTS = 8
+"""Points asked for after each probe: the centre of mass, four near it, three anywhere."""
+NEAR_MM, ANYWHERE_MM = 2.5, 16.0
+MIRRORS = ((False, False), (True, False), (False, True), (True, True))
+FIRST_OF_FIELDS = 2000
+Arrays = Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class FusedTraining:
+    """How long and how fast."""
+
+    steps: int = 1600
+    batch: int = 128
+    learning_rate: float = 2e-3
+    seed: int = 0
+    shape: FusedShape = field(default_factory=FusedShape)
+
+
+@dataclass(frozen=True, slots=True)
+class Sequences:
+    """What the network is trained on: n sequences of P probes.
+
+    ``probes`` (n, P, inputs) not scaled; ``true_mm``, ``offset_mm`` (n, P, 2); ``com_mm`` (n, 2);
+    ``normal`` (n, k, 2) and ``reach_mm`` (n, k): half planes of the support; ``there`` (n, P).
+    """
+
+    probes: Tensor
+    true_mm: Tensor
+    offset_mm: Tensor
+    com_mm: Tensor
+    normal: Tensor
+    reach_mm: Tensor
+    there: Tensor
+
+    def inset_mm(self, rows: Tensor, points_mm: Tensor) -> Tensor:
+        """Return (b, P, q): how far ``points_mm`` (b, P, q, 2), from the face, lie within."""
+        at = points_mm + self.true_mm[rows][:, :, None]
+        along = torch.einsum("bpqx,bkx->bpqk", at, self.normal[rows])
+        return (self.reach_mm[rows][:, None, None] - along).amin(dim=-1)
+
+
+def sequences(arrays: Arrays, modes: NDArray[np.float32], *, mirror: bool) -> Sequences:
+    """Prepare the sequences of ``backend.experiments.sequences``, with mirror images if wanted."""
+    parts = []
+    for across_x, across_y in MIRRORS if mirror else MIRRORS[:1]:
+        signs = np.array([-1.0 if across_x else 1.0, -1.0 if across_y else 1.0])
+        wrench, seen = mirrored(
+            arrays["wrench"], arrays["field"], across_x=across_x, across_y=across_y
+        )
+        face = Face(
+            *(arrays[k].astype(np.float64) for k in ("reach_mm", "com_mm", "grip_height_mm"))
+        ).mirrored(across_x=across_x, across_y=across_y)
+        offset = arrays["offset_mm"] * signs
+        inputs = probe_inputs(wrench, seen, offset, face, modes)
+        piece = np.broadcast_to(
+            face.inputs()[:, None], (*inputs.shape[:2], face.inputs().shape[-1])
+        )
+        normal, reach = half_planes(arrays["support_mm"].astype(np.float64))
+        count = arrays["count"]
+        parts.append(
+            (
+                np.concatenate([inputs, piece], axis=-1),
+                arrays["true_mm"] * signs,
+                offset,
+                face.com_mm,
+                normal * signs,
+                reach,
+                np.arange(inputs.shape[1]) < count[:, None],
+            )
+        )
+    joined = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    probes, true, offset, com, normal, reach = (
+        torch.from_numpy(values.astype(np.float32)) for values in joined[:-1]
+    )
+    return Sequences(probes, true, offset, com, normal, reach, torch.from_numpy(joined[-1]))
+
+
+def half_planes(polygon_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return outward normals (n, k, 2) and reaches (n, k) of the edges of polygons (n, k, 2).
+
+    An edge without length limits nothing.
+    """
+    start, normal = edge_normals(polygon_mm)
+    reach = (start * normal).sum(axis=-1)
+    none = (normal == 0.0).all(axis=-1)
+    return normal, np.where(none, 1e6, reach)
+
+
+class FusedTrainer:
+    """Network and data of one training; the same seed gives the same weights on one thread."""
+
+    def __init__(self, train: Arrays, held_out: Arrays, settings: FusedTraining) -> None:
+        self._settings = settings
+        self.modes = typical_fields(train["field"][:FIRST_OF_FIELDS])
+        self._train = sequences(train, self.modes, mirror=True)
+        self._held_out = sequences(held_out, self.modes, mirror=False)
+        rows = self._train.probes[self._train.there]
+        self.mean, spread = rows.mean(dim=0), rows.std(dim=0)
+        self.scale = torch.where(spread > 1e-6, spread, torch.ones(()))
+        self.net = FusedNet(settings.shape, settings.seed)
+        self._adam = Adam(self.net.parameters(), settings.learning_rate)
+        self._generator = torch.Generator().manual_seed(settings.seed + 1)
+
+    def steps(self) -> Iterator[float]:
+        """Yield the loss (nats a point) of each step."""
+        settings = self._settings
+        for step in range(settings.steps):
+            warm = min(1.0, (step + 1) / 100)
+            share = 0.5 * (1.0 + math.cos(math.pi * step / settings.steps))
+            self._adam.rate = settings.learning_rate * warm * share
+            size = (settings.batch,)
+            rows = torch.randint(len(self._train.probes), size, generator=self._generator)
+            loss = self._loss(self._train, rows, self._generator)
+            self._adam.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            self._adam.step()
+            yield float(loss.detach())
+
+    @torch.no_grad()
+    def held_out_loss(self) -> float:
+        """Return the loss on the sequences held out, at the same points every time."""
+        generator = torch.Generator().manual_seed(7)
+        rows = torch.arange(len(self._held_out.probes))
+        return float(self._loss(self._held_out, rows, generator))
+
+    def arrays(self) -> dict[str, NDArray[np.float32]]:
+        """Return what a checkpoint keeps."""
+        found = {name: value.numpy().copy() for name, value in arrays_of(self.net).items()}
+        about = {"mean": self.mean.numpy(), "scale": self.scale.numpy(), "modes": self.modes}
+        return {**about, **found}
+
+    def _loss(self, data: Sequences, rows: Tensor, generator: torch.Generator) -> Tensor:
+        points = _points(data, rows, generator)
+        inset = data.inset_mm(rows, points) / LENGTH_MM
+        away = (data.offset_mm[rows] - data.offset_mm[rows][:, :1])[:, :, None]
+        asked = point_inputs(points.numpy(), away.numpy()).astype(np.float32)
+        probes = (data.probes[rows] - self.mean) / self.scale
+        there = data.there[rows]
+        answer = self.net(torch.where(there[..., None], probes, 0.0), torch.from_numpy(asked))
+        return surprise(answer, inset)[there].mean()
+
+
+def data_sha256(arrays: Arrays) -> str:
+    """Return the hash that names a training set."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        digest.update(name.encode() + np.ascontiguousarray(arrays[name]).tobytes())
+    return digest.hexdigest()
+
+
+def _points(data: Sequences, rows: Tensor, generator: torch.Generator) -> Tensor:
+    """Draw points (b, P, q, 2) in mm from the face after each probe."""
+    b, count = len(rows), data.probes.shape[1]
+    drawn = torch.randn((b, count, POINTS, 2), generator=generator)
+    anywhere = 2.0 * torch.rand((b, count, POINTS, 2), generator=generator) - 1.0
+    spread = torch.tensor([0.0] + 4 * [NEAR_MM] + 3 * [0.0])[:, None]
+    wide = torch.tensor(5 * [0.0] + 3 * [ANYWHERE_MM])[:, None]
+    return data.com_mm[rows][:, None, None] + spread * drawn + wide * anywhere

@@ -1,0 +1,123 @@
+"""What fusion is learned from: outlines that resemble nothing unseen, sequences pressed as the
+bench presses, and a network with its card at the end.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from backend.config.simulation import SimulationSettings, load_simulation
+from backend.core.flow import CHANNELS, TACTILE_CHANNELS
+from backend.experiments.family import (
+    LIKE,
+    UNSEEN_BOTTOMS,
+    UNSEEN_PIECES,
+    Family,
+    likeness,
+    resembles,
+)
+from backend.experiments.fused import FUSED_KINDS, WEIGHTS, FusedRecipe
+from backend.experiments.sequences import PROBES, Mixed, load_sequences, stepped
+from backend.jobs.campaign import run_campaign
+from backend.jobs.executor import Serial
+from backend.jobs.store import JobStore
+from backend.learning.fused.checkpoint import load_fused
+from backend.objects.catalogue import load_catalogue
+from backend.objects.shapes import Outline, circle, rectangle, square
+from backend.objects.tower import Body, Tower
+from backend.simulation.lockstep import Lockstep
+from backend.simulation.scene import Scene
+
+
+@pytest.fixture(scope="module")
+def bench_v1() -> SimulationSettings:
+    return load_simulation(preset="bench-v1")
+
+
+def covered_alike(first: Outline, second: Outline) -> float:
+    """Intersection over union on a fine grid, the best of all turns by 3 degrees."""
+    steps = np.arange(-20.0, 20.0, 0.4)
+    grid = np.stack(np.meshgrid(steps, steps), axis=-1)
+    inside = first.contains(grid)
+    best = 0.0
+    for angle in np.radians(np.arange(0.0, 180.0, 5.0)):
+        c, s = np.cos(angle), np.sin(angle)
+        other = second.contains(grid @ np.array([[c, -s], [s, c]]))
+        best = max(best, float((inside & other).sum() / (inside | other).sum()))
+    return best
+
+
+def test_likeness_is_the_common_share_at_the_best_turn() -> None:
+    assert likeness(circle(20.0), circle(19.0)) == pytest.approx((19.0 / 20.0) ** 2, abs=2e-3)
+    turned = rectangle(12.0, 20.0)
+    assert likeness(rectangle(20.0, 12.0), turned) == pytest.approx(1.0, abs=1e-3)
+    assert likeness(square(18.0), circle(20.0)) == pytest.approx(
+        covered_alike(square(18.0), circle(20.0)), abs=0.01
+    )
+
+
+def test_nothing_drawn_resembles_what_is_called_unseen() -> None:
+    catalogue = load_catalogue()
+    family, rng = Family.of(catalogue), np.random.default_rng(1)
+    bottoms = [family.bottom(rng) for _ in range(12)]
+    unseen = [catalogue.bottom(name).face for name in UNSEEN_BOTTOMS]
+    assert max(covered_alike(b.lower, u) for b in bottoms[:4] for u in unseen) <= LIKE + 0.01
+    assert not any(resembles(b.lower, u) for b in bottoms for u in unseen)
+    faces = [family.piece(rng).face for _ in range(12)]
+    held = [catalogue.top(name).face for name in UNSEEN_PIECES]
+    assert not any(resembles(face, u) for face in faces for u in held)
+    # Without the rule the same draws do come near them.
+    careless = Family((), ())
+    anything = [careless.bottom(rng).lower for _ in range(20)]
+    assert any(resembles(o, u) for o in anything for u in unseen)
+    assert {o.kind for o in faces} == {"circle", "polygon"}
+
+
+def test_side_by_side_each_presses_its_own_bottom(bench_v1: SimulationSettings) -> None:
+    piece = load_catalogue().top("pot")
+    bottoms = [
+        Body("bottom", face, face, 20.0, 0.0, 10.0, fixed=True)
+        for face in (circle(14.0), square(22.0))
+    ]
+    scenes = [Scene(piece, Tower((b,)), (0.0, 0.0), 3 + k, bench_v1) for k, b in enumerate(bottoms)]
+    places = np.array([[5.0, 1.0], [-6.0, 2.0]])
+    together = Mixed(scenes).press([0, 1], places)
+    for k in range(2):
+        alone = Lockstep(scenes[k : k + 1]).press([0], places[k : k + 1])
+        np.testing.assert_allclose(together.observation[k], alone.observation[0], atol=2e-3)
+    with pytest.raises(ValueError, match="share"):
+        Lockstep(scenes)
+
+
+def test_a_step_knows_only_where_the_press_acted() -> None:
+    rng = np.random.default_rng(2)
+    last = np.tile([4.0, 0.0], (500, 1))
+    acted = np.tile([-6.0, 0.0], (500, 1))
+    step = stepped(last, acted, rng) - last
+    assert np.hypot(*step.T).max() <= 3.0 + 1e-9
+    assert step[:, 0].mean() < -1.5
+    assert abs(step[:, 1].mean()) < 0.3
+
+
+def test_from_nothing_to_a_network_with_its_card(
+    bench_v1: SimulationSettings, tmp_path: Path
+) -> None:
+    recipe = FusedRecipe(bench_v1, "test", parts=2, steps=3, pieces=1, bottoms=2)
+    store = JobStore(tmp_path)
+    jobs = recipe.jobs()
+    for result in run_campaign(jobs, Serial(FUSED_KINDS, store), store):
+        assert result.state == "done", result.error
+    data = load_sequences([store.folder(jobs[0].id)])
+    assert data["wrench"].shape == (2, PROBES, 8, CHANNELS - TACTILE_CHANNELS)
+    assert (data["count"] <= PROBES).all()
+    assert data["count"].max() == PROBES
+    # The start of a sequence overlaps its bottom, and steps are those of a trial or anywhere.
+    found = load_fused(store.folder(jobs[-1].id) / WEIGHTS)
+    assert found.card.bench_sha256.startswith("03b08d28746d9339")
+    assert found.card.left_out == (*UNSEEN_PIECES, *UNSEEN_BOTTOMS)
+    assert found.card.training["sequences"] == 2
+    again = FusedRecipe(bench_v1, "test", parts=2, steps=3, pieces=1, bottoms=2, seed=1)
+    assert not {job.seed for job in again.jobs()[:2]} & {job.seed for job in jobs[:2]}

@@ -1,0 +1,272 @@
+"""Learned fusion: the same network with and without torch, signals that mirror as the bench does,
+insets as geometry has them, weights that arrive whole, and a training that learns.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from backend.config.simulation import load_simulation
+from backend.core.faults import InputError
+from backend.experiments import worlds
+from backend.experiments.worlds import Setting, Worlds, feel
+from backend.learning.fused.checkpoint import FusedCard, FusedSizes, load_fused, save_fused
+from backend.learning.fused.forward import FusedForward, point_inputs
+from backend.learning.fused.net import FusedNet, arrays_of
+from backend.learning.fused.shape import FusedShape, expected_arrays
+from backend.learning.fused.summary import (
+    TICKS,
+    Face,
+    acting_mm,
+    mirrored,
+    probe_inputs,
+    typical_fields,
+)
+from backend.learning.fused.training import (
+    FusedTrainer,
+    FusedTraining,
+    Sequences,
+    sequences,
+)
+from backend.objects.catalogue import load_catalogue
+from backend.objects.shapes import circle, rectangle
+from backend.objects.surface import face_points
+from backend.placement.outline_family import inset_mm
+from backend.simulation.gel import build_gel
+from backend.simulation.mechanics import Carried
+
+SMALL = FusedShape(width=16, heads=2, layers=2, inner=24, parts=2)
+FACE = Face.of(face_points(circle(15.0)), np.array([0.5, -1.0]), np.array(30.0))
+Arrays = dict[str, NDArray[Any]]
+
+
+def signals(rng: np.random.Generator, count: int) -> tuple[NDArray[np.float32], ...]:
+    wrench = rng.normal(size=(count, 8, 6)).astype(np.float32)
+    return wrench, rng.normal(size=(count, 8, 252)).astype(np.float32)
+
+
+def weights(seed: int) -> dict[str, NDArray[np.float32]]:
+    """Random ones: the network's own, a scaling, and marker fields."""
+    rng = np.random.default_rng(seed)
+    sizes = expected_arrays(SMALL)
+    about = {
+        "mean": rng.normal(size=sizes["mean"]),
+        "scale": rng.uniform(0.5, 2.0, sizes["scale"]),
+        "modes": rng.normal(size=sizes["modes"]),
+    }
+    net = {name: value.numpy() for name, value in arrays_of(FusedNet(SMALL, seed)).items()}
+    biases = {n: rng.normal(size=a.shape) for n, a in net.items() if n.endswith("bias")}
+    return {
+        name: np.asarray(array, np.float32) for name, array in {**about, **net, **biases}.items()
+    }
+
+
+def test_without_torch_the_network_answers_as_with_it() -> None:
+    rng, arrays = np.random.default_rng(1), weights(1)
+    wrench, field = signals(rng, 4)
+    offset, points = rng.normal(size=(4, 2)), 5.0 * rng.normal(size=(7, 2))
+    forward = FusedForward(arrays, SMALL)
+    known = forward.known(wrench, field, offset, FACE)
+    found = forward.inset(known[-1], points, offset[-1] - offset[0])
+
+    net = FusedNet(SMALL, 0)
+    for key in net.weights:
+        net.weights[key] = torch.nn.Parameter(torch.from_numpy(arrays[key.replace("/", ".")]))
+    inputs = probe_inputs(wrench, field, offset, FACE, arrays["modes"])
+    inputs = np.concatenate([inputs, np.tile(FACE.inputs(), (4, 1))], axis=-1)
+    scaled = (inputs - arrays["mean"]) / arrays["scale"]
+    asked = np.tile(point_inputs(points, offset[-1] - offset[0]), (1, 4, 1, 1))
+    with torch.no_grad():
+        log_weight, mean, log_sd = net(
+            torch.from_numpy(scaled[None].astype(np.float32)),
+            torch.from_numpy(asked.astype(np.float32)),
+        )
+    np.testing.assert_allclose(found.weight, log_weight[0, -1].exp(), atol=1e-4)
+    np.testing.assert_allclose(found.mean_mm, 10.0 * mean[0, -1], rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(found.sd_mm, 10.0 * log_sd[0, -1].exp(), rtol=1e-3)
+
+
+def test_what_is_known_after_two_probes_does_not_depend_on_a_third() -> None:
+    rng, forward = np.random.default_rng(2), FusedForward(weights(2), SMALL)
+    wrench, field = signals(rng, 3)
+    offset = rng.normal(size=(3, 2))
+    before = forward.known(wrench[:2], field[:2], offset[:2], FACE)
+    after = forward.known(wrench, field, offset, FACE)
+    np.testing.assert_allclose(after[:2], before, atol=1e-12)
+    assert not np.allclose(after[2], before[1])
+
+
+def test_a_mixture_exceeds_what_draws_from_it_exceed() -> None:
+    rng, forward = np.random.default_rng(3), FusedForward(weights(3), SMALL)
+    wrench, field = signals(rng, 1)
+    known = forward.known(wrench, field, np.zeros((1, 2)), FACE)
+    inset = forward.inset(known[0], np.array([[1.0, 2.0]]), np.zeros(2))
+    part = rng.choice(2, size=20_000, p=inset.weight[0])
+    drawn = inset.mean_mm[0][part] + inset.sd_mm[0][part] * rng.normal(size=20_000)
+    assert inset.expected_mm()[0] == pytest.approx(drawn.mean(), abs=0.3)
+    middle = float(np.median(drawn))
+    assert inset.exceeds(middle)[0] == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize(("across_x", "across_y"), [(True, False), (False, True), (True, True)])
+def test_signals_mirror_as_a_mirrored_bench_feels_them(across_x: bool, across_y: bool) -> None:
+    bench, catalogue = load_simulation(preset="bench-v1"), load_catalogue()
+    setting = Setting(catalogue.top("pot"), catalogue.bottom("circle15"), bench)
+    rng = np.random.default_rng(5)
+    value = 0.7 * rng.standard_normal((3, worlds.COLUMNS))
+    value[:, : worlds.TILT_X] *= 4.0
+    other = value.copy()
+    x, y = (-1.0 if across else 1.0 for across in (across_x, across_y))
+    other[:, [worlds.SHIFT_X, worlds.GRASP_X]] *= x
+    other[:, worlds.SHIFT_Y] *= y
+    # A tilt turns about its axis, which keeps its sense when that very axis is mirrored.
+    other[:, worlds.TILT_X] *= y
+    other[:, worlds.TILT_Y] *= x
+    other[:, worlds.YAW] *= x * y
+    if across_y:
+        gains = [worlds.GAIN_LEFT, worlds.GAIN_RIGHT]
+        other[:, gains] = other[:, gains[::-1]]
+    one, two = (
+        feel(setting, Worlds(v, Carried.fresh(3)), (0.0, 0.0), np.random.default_rng(8))
+        for v in (value, other)
+    )
+    assert one.usable.all()
+    wrench, field = mirrored(
+        one.observation[..., 252:],
+        one.observation[..., :252],
+        across_x=across_x,
+        across_y=across_y,
+    )
+    np.testing.assert_allclose(wrench, two.observation[..., 252:], atol=2e-3)
+    # The two cameras grab at instants of their own, up to a frame apart.
+    np.testing.assert_allclose(field, two.observation[..., :252], rtol=0.03, atol=0.02)
+
+
+def test_a_face_mirrors_like_its_points() -> None:
+    points = face_points(rectangle(20.0, 12.0)) @ np.array([[0.8, 0.6], [-0.6, 0.8]])
+    com = np.array([1.0, 0.5])
+    whole = Face.of(points, com, np.array(30.0))
+    for across_x, across_y in ((True, False), (False, True), (True, True)):
+        signs = np.where([across_x, across_y], -1.0, 1.0)
+        expected = Face.of(points * signs, com * signs, np.array(30.0))
+        found = whole.mirrored(across_x=across_x, across_y=across_y)
+        np.testing.assert_allclose(found.inputs(), expected.inputs(), atol=1e-9)
+
+
+def test_where_a_growing_force_acts() -> None:
+    # 8 N down at (3, -2) mm of the face, with a lateral part, at a sensor 150 mm above it.
+    fx, fy, fz = 0.8, -0.4, 8.0
+    growth = np.array([fx, fy, fz, 1e-3 * (-2 * fz + 150 * fy), 1e-3 * (-3 * fz - 150 * fx), 0.0])
+    np.testing.assert_allclose(acting_mm(growth, np.array(150.0)), [3.0, -2.0], atol=1e-9)
+    np.testing.assert_allclose(acting_mm(0.05 * growth, np.array(150.0)), 0.0)
+
+
+def test_typical_fields_hold_all_that_a_pad_can_do() -> None:
+    rng, gel = np.random.default_rng(4), build_gel((0.058, 0.058))
+    moves = rng.normal(size=(60, 8, 2, 4))
+    fields = np.einsum("ntfm,fmk->ntfk", moves, gel.map).reshape(60, 8, 2, 63, 2)
+    fields = fields + rng.normal(size=(60, 1, 2, 1, 2))  # a shift of the reference
+    flat = fields.swapaxes(-1, -2).reshape(60, 8, 252).astype(np.float32)
+    modes = typical_fields(flat)
+    again = typical_fields(flat[::2])
+    for finger in range(2):
+        # The span is that of all fields, whichever are looked at.
+        lost = again[finger] - again[finger] @ modes[finger].T @ modes[finger]
+        assert np.abs(lost).max() < 1e-3
+
+
+def made_up(count: int, seed: int) -> Arrays:
+    """Sequences of two probes whose force along x and y is the displacement itself."""
+    rng = np.random.default_rng(seed)
+    true = rng.uniform(-8.0, 8.0, (count, 2, 2)).astype(np.float32)
+    wrench = 0.1 * rng.normal(size=(count, 2, 8, 6)).astype(np.float32)
+    wrench[..., :2] += 0.2 * true[:, :, None]
+    corners = circle(20.0).polygon(32).astype(np.float32)
+    return {
+        "wrench": wrench,
+        "field": rng.normal(size=(count, 2, 8, 252)).astype(np.float32),
+        "offset_mm": np.zeros((count, 2, 2), np.float32),
+        "true_mm": true,
+        "count": np.full(count, 2),
+        "support_mm": np.tile(corners, (count, 1, 1)),
+        "reach_mm": np.full((count, 16), 7.0, np.float32),
+        "com_mm": np.zeros((count, 2), np.float32),
+        "grip_height_mm": np.full(count, 30.0, np.float32),
+    }
+
+
+def test_the_true_inset_is_that_of_the_outline() -> None:
+    arrays = made_up(2, 1)
+    outline = rectangle(14.0, 10.0)
+    padded = np.concatenate([outline.polygon(), np.repeat(outline.polygon()[-1:], 28, axis=0)])
+    arrays["support_mm"] = np.tile(padded.astype(np.float32), (2, 1, 1))
+    modes = typical_fields(arrays["field"])
+    data: Sequences = sequences(arrays, modes, mirror=True)
+    points = torch.tensor([[1.0, 2.0], [-3.0, 0.5]]).expand(8, 2, 2, 2)
+    found = data.inset_mm(torch.arange(8), points).numpy()
+    expected = inset_mm(outline, (points + data.true_mm[:, :, None]).numpy().astype(np.float64))
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+def test_a_training_learns_and_is_the_same_again() -> None:
+    settings = FusedTraining(steps=100, batch=32, seed=3, shape=SMALL)
+    train, held_out = made_up(96, 1), made_up(32, 2)
+    trainer = FusedTrainer(train, held_out, settings)
+    before = trainer.held_out_loss()
+    losses = list(trainer.steps())
+    assert np.mean(losses[-10:]) < 0.5 * losses[0]
+    assert trainer.held_out_loss() < before - 0.7
+    short = FusedTraining(steps=3, batch=48, seed=3, shape=SMALL)
+    twice = [FusedTrainer(train, held_out, short) for _ in range(2)]
+    for one in twice:
+        list(one.steps())
+    first, second = (one.arrays() for one in twice)
+    assert all(np.array_equal(first[name], second[name]) for name in first)
+
+
+@pytest.fixture
+def kept(tmp_path: Path) -> Path:
+    card = FusedCard(
+        hyper=FusedSizes(**SMALL.as_json()),
+        bench_sha256="b",
+        data_sha256="d",
+        seed=1,
+        program_version="0",
+    )
+    path = tmp_path / "fused.safetensors"
+    save_fused(path, weights(1), card)
+    return path
+
+
+def test_weights_arrive_as_they_left(kept: Path) -> None:
+    found = load_fused(kept)
+    assert found.shape == SMALL
+    assert all(np.array_equal(found.arrays[name], a) for name, a in weights(1).items())
+
+
+@pytest.mark.parametrize("what", ["damaged", "pickle", "other sizes", "other ticks", "too large"])
+def test_a_bad_file_is_refused_by_name(kept: Path, what: str) -> None:
+    content, card = bytearray(kept.read_bytes()), json.loads(kept.with_suffix(".json").read_text())
+    if what == "damaged":
+        content[-1] ^= 1
+    elif what == "pickle":
+        content[:2] = b"\x80\x04"
+    elif what == "other sizes":
+        card["hyper"]["inner"] = 25
+    elif what == "other ticks":
+        card["ticks"] = [0, 1, 2, 3, 4, 5, 6, 7]
+    else:
+        content += bytes(2_000_000)
+    kept.write_bytes(bytes(content))
+    kept.with_suffix(".json").write_text(json.dumps(card))
+    with pytest.raises(InputError) as refused:
+        load_fused(kept)
+    assert kept.name in str(refused.value)
+    assert len(TICKS) == 8

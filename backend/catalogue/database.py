@@ -18,7 +18,8 @@ from backend.catalogue.schema import APPLICATION_ID, SCHEMA_VERSION, statements
 from backend.core.faults import Fault, FaultError, InputError, RefusedError
 
 NAME = "catalog.db"
-BUSY_MS = 5000
+BUSY_MS = 2000
+"""Another program may hold the catalogue for so long."""
 LEAST_ROOM = 1_000_000
 Row = tuple[Any, ...]
 
@@ -216,6 +217,13 @@ def _unopened(path: Path, error: sqlite3.Error) -> InputError:
 
 
 def _not_saved(error: sqlite3.OperationalError) -> Fault:
+    if error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY:
+        return Fault(
+            code="CATALOGUE-BUSY",
+            what=f"Another program has held the catalogue for {1e-3 * BUSY_MS:.0f} s.",
+            consequence="The last action is not saved; nothing that was saved before is touched.",
+            next_step="Close the program that has the catalogue open, then do the action again.",
+        )
     return Fault(
         code="CATALOGUE-WRITE",
         what=f"The catalogue could not be written: {error}.",

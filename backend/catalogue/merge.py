@@ -62,7 +62,7 @@ def copy_files(mine: Path, theirs: Path, paths: Sequence[str]) -> list[str]:
     names = [*(f"geometry/{path.name}" for path in (theirs / "geometry").glob("*.json")), *paths]
     for name in names:
         source, target = theirs / name, mine / name
-        if not target.resolve().is_relative_to(mine.resolve()):
+        if not (_is_inside(mine, target) and _is_inside(theirs, source)):
             raise InputError("A file lies outside its dataset.", name, "Do not merge this dataset.")
         if target.exists():
             continue
@@ -71,6 +71,15 @@ def copy_files(mine: Path, theirs: Path, paths: Sequence[str]) -> list[str]:
             continue
         write_atomically(target, source.read_bytes())
     return missing
+
+
+def _is_inside(folder: Path, path: Path) -> bool:
+    """Whether ``path`` names something below ``folder``, links followed."""
+    try:
+        return folder.resolve() in path.resolve().parents and len(path.name) <= 200
+    except (OSError, ValueError):
+        # A name that no system takes.
+        return False
 
 
 def take_rows(

@@ -134,7 +134,12 @@ def _one(
         collector.done, collector.campaign.count,
     )  # fmt: skip
     work = collector.mounting(bench, target, origin, context, after=mounting.grips)
-    ended = yield from orderly(bench, work)
+    try:
+        ended = yield from orderly(bench, work)
+    except Exception:
+        # The probe before is on its way to the disk: it is told whatever ended the run.
+        yield from collector.settle(bench)
+        raise
     yield from collector.settle(bench)
     collector.campaign.save(dataset.folder)
     return ended

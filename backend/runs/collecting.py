@@ -14,6 +14,7 @@ from backend.core.facts import (
     DecisionAwaited,
     EpisodeDecided,
     EpisodeRecorded,
+    Fact,
     FaultRaised,
     Gripped,
     ProbeCollected,
@@ -80,6 +81,8 @@ class Collector:
         self._probes = 0
         self._taken: _Taken | None = None
         self._last: tuple[EpisodeEntry, int] | None = None
+        self._untold: deque[Fact] = deque()
+        """Facts about a probe that is durable, in their order."""
 
     def mounting(
         self, bench: Bench, target: Target, origin: Origin, context: EpisodeContext, after: int = 0
@@ -108,8 +111,12 @@ class Collector:
         return True
 
     def settle(self, bench: Bench) -> Plan[None]:
-        """Announce the probe on which a mounting ended early; a disk that refuses it is a fault."""
+        """Announce the probe on which a mounting ended early; a disk that refuses it is a fault.
+
+        Whatever ended it: what is in the dataset is told, also where only part of it was told yet.
+        """
         try:
+            yield from self._tell()
             yield from self._settled(bench, waits=False)
         except FaultError as cause:
             bench.interlock.raise_fault(cause.fault)
@@ -128,8 +135,8 @@ class Collector:
         self._last = (entry, taken.item)
         now_s = bench.now_s()
         shown = replace(episode, episode_id=entry.uuid, recording=None)
-        yield EpisodeRecorded(now_s, shown, taken.felt.probe, entry.path)
-        yield ProbeCollected(
+        self._untold.append(EpisodeRecorded(now_s, shown, taken.felt.probe, entry.path))
+        self._untold.append(ProbeCollected(
             now_s,
             uuid=entry.uuid,
             item=taken.item,
@@ -143,7 +150,13 @@ class Collector:
             slip_mm=episode.quality.slip_mm,
             drift_mm=taken.drift_mm,
             reasons="; ".join(episode.quality.reasons),
-        )
+        ))  # fmt: skip
+        yield from self._tell()
+
+    def _tell(self) -> Plan[None]:
+        """Announce what is durable; a stop between two facts leaves the second for later."""
+        while self._untold:
+            yield self._untold.popleft()
 
     def _checked(
         self, bench: Bench, origin: Origin, context: EpisodeContext

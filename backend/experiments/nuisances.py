@@ -10,8 +10,6 @@ import numpy as np
 from backend.config.simulation import SimulationSettings
 
 FACTORS = (0.0, 0.5, 1.0, 2.0, 3.0)
-VARIED = (0.5, 2.0)
-"""Range of the factors that are drawn per mounting, log-uniformly."""
 FOUNDATION = "face.foundation_range_n_mm3"
 
 
@@ -55,19 +53,13 @@ def scaled(settings: SimulationSettings, nuisance: Nuisance, factor: float) -> S
 
     A log-uniform range keeps its middle. A range that is not there stays so.
     """
+    if factor == 1.0:
+        return settings
     content = settings.model_dump(mode="json")
     for key in nuisance.keys:
         section, name = key.split(".")
         content[section][name] = _times(content[section][name], factor)
     return SimulationSettings.model_validate(content)
-
-
-def varied(settings: SimulationSettings, rng: np.random.Generator) -> SimulationSettings:
-    """Return the bench with every nuisance scaled by a factor of its own, drawn from ``VARIED``."""
-    low, high = np.log(VARIED)
-    for nuisance in NUISANCES:
-        settings = scaled(settings, nuisance, float(np.exp(rng.uniform(low, high))))
-    return settings
 
 
 def _times(value: Any, factor: float) -> Any:

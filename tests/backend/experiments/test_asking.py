@@ -1,0 +1,158 @@
+"""What exists is asked elsewhere and with other nuisances: same seeds, nothing asked twice."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from backend.__main__ import main
+from backend.config.simulation import SpreadSettings, load_simulation
+from backend.experiments.elsewhere import drop, interval, press_figures
+from backend.experiments.given_models import adopt_models, models_that_ship
+from backend.experiments.kinds import KINDS
+from backend.experiments.nuisances import FACTORS, NUISANCES, scaled
+from backend.experiments.sensitivity import Sensitivity, sensitivity_rows
+from backend.experiments.sensitivity_page import sensitivity_page
+from backend.jobs.campaign import run_campaign
+from backend.jobs.executor import Serial
+from backend.jobs.store import JobStore
+from backend.simulation import nuisance
+from backend.simulation.release_mujoco import available
+
+BY_NAME = {found.name: found for found in NUISANCES}
+
+
+def test_every_spread_but_that_of_a_jig_is_a_nuisance() -> None:
+    keys = {key for found in NUISANCES for key in found.keys}
+    assert {f"spread.{name}" for name in SpreadSettings.model_fields} - keys == {"spread.jig_mm"}
+
+
+@pytest.mark.parametrize("found", NUISANCES, ids=lambda found: found.name)
+def test_one_nuisance_grows_and_nothing_else(found) -> None:
+    bench = load_simulation(preset="bench-v1")
+    assert scaled(bench, found, 1.0) == bench
+    before, after = bench.model_dump(), scaled(bench, found, 3.0).model_dump()
+    changed = {
+        f"{section}.{name}"
+        for section, content in before.items()
+        if isinstance(content, dict)
+        for name, value in content.items()
+        if after[section][name] != value
+    }
+    assert changed == set(found.keys)
+    for key in set(found.keys) - {"face.foundation_range_n_mm3"}:
+        section, name = key.split(".")
+        assert after[section][name] == pytest.approx(3.0 * before[section][name])
+
+
+def test_a_range_keeps_its_middle() -> None:
+    bench = load_simulation(preset="bench-v1")
+    low, high = scaled(bench, BY_NAME["foundation"], 0.5).face.foundation_range_n_mm3
+    assert low * high == pytest.approx(5.0 * 50.0)
+    assert high / low == pytest.approx((50.0 / 5.0) ** 0.5)
+
+
+def test_without_tilt_no_board_is_tilted() -> None:
+    bench = scaled(load_simulation(preset="bench-v1"), BY_NAME["tilt"], 0.0)
+    draws = [nuisance.draw_mounting(bench, np.random.default_rng(k)) for k in range(3)]
+    assert [draw.tilt_rad for draw in draws] == [(0.0, 0.0)] * 3
+
+
+def _part(iou: list[float], says: list[bool], margins: list[float], left_out: int = 0) -> dict:
+    score = {"iou": iou, "accuracy": iou, "iou_true": iou, "says": dict.fromkeys("123", says)}
+    return {
+        "models": {"M": score},
+        "margin_mm": [[m, m] for m in margins],
+        "slipped": 0.5,
+        "rejected": 1,
+        "left_out": left_out,
+    }
+
+
+def test_figures_of_presses_join_their_parts() -> None:
+    parts = [
+        _part([0.2, 0.4], [True, False], [3.0, -2.0]),
+        _part([0.6, 0.8], [True, True], [-1.0, 0.1]),
+    ]
+    found = press_figures(parts, "M")
+    assert found["iou"]["value"] == pytest.approx(0.5)
+    assert found["iou"]["n"] == 4
+    # One place is too close to call; of the three others two were told right.
+    assert found["stable_1"]["accuracy"]["value"] == pytest.approx(2 / 3)
+    assert found["stable_1"]["too_close"] == 1
+    assert found["stable_1"]["unsafe"]["value"] == pytest.approx(0.5)
+    assert found["rejected"] == 2
+
+
+def test_a_drop_is_told_in_points() -> None:
+    here, there = ({"value": v, "low": v - 0.1, "high": v + 0.1} for v in (0.8, 0.65))
+    assert drop(here, there) == "-15.0"
+    assert interval(here) == "80.0 (70 to 90)"
+    assert drop(here, {"value": None}) == ""
+
+
+def test_sensitivity_is_asked_once_for_the_bench_itself(tmp_path: Path) -> None:
+    store, bench = JobStore(tmp_path), load_simulation(preset="quiet")
+    source = adopt_models(store, *models_that_ship("quiet"))["pot", "FT+Tac"]
+    asked = (BY_NAME["tilt"], BY_NAME["gain"])
+    plan = Sensitivity(bench, "test", "pot", source, ("short",), groups=4, nuisances=asked)
+    jobs = plan.jobs()
+    assert len(jobs) == 1 + 2 * (len(FACTORS) - 1)
+    # The bench itself comes first, then the ends of the range.
+    assert all(job.seed == jobs[0].seed for job in jobs)
+    some = jobs[:3]
+    assert {r.state for r in run_campaign(some, Serial(KINDS, store), store)} == {"done"}
+    answer = plan.answer(store)
+    tilt, gain = answer["nuisances"]
+    assert [row["factor"] for row in tilt["at"]] == [0.0, 1.0]
+    assert tilt["at"][1] == gain["at"][1]
+    assert tilt["at"][1]["iou_change"]["value"] == 0.0
+    shift = tilt["at"][0]["iou_change"]["value"]
+    assert shift == pytest.approx(tilt["at"][0]["iou"]["value"] - tilt["at"][1]["iou"]["value"])
+    assert shift != 0.0
+    page = sensitivity_page(answer)
+    assert page.count("<svg") == 2
+    assert sensitivity_rows(answer)[0][1] in page
+
+
+@pytest.mark.optional
+@pytest.mark.skipif(not available(), reason="needs the optional engine")
+def test_both_worlds_are_asked_the_same_and_only_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["experiment", "elsewhere", "--pieces", "pot", "--bottoms", "short", "--groups", "2"]
+    words += ["--trials", "1", "--strategies", "paper", "--preset", "quiet", "--json"]
+    words += ["--executor", "serial", "--out", str(tmp_path)]
+    assert main(words) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["missing"], answer["failed"]) == (0, [])
+    said = json.loads(Path(answer["file"]).read_text("utf-8"))
+    presses = {(c["world"], c["bottom"]): c for c in said["presses"] if c["model"] == "FT+Tac"}
+    here, there = presses["bench", "short"], presses["elsewhere", "short"]
+    assert here["iou"]["n"] == there["iou"]["n"] == 2
+    assert here["iou"]["value"] != there["iou"]["value"]
+    assert here["stable_1"]["stable_share"] == there["stable_1"]["stable_share"]
+    assert {c["placed"]["n"] for c in said["trials"]} == {1}
+    done = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "jobs").iterdir()}
+    assert main(words) == 0
+    assert done == {path.name: path.stat().st_mtime_ns for path in (tmp_path / "jobs").iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("words", "where"),
+    [
+        (["--groups", "0"], "--groups"),
+        (["--pieces", "pot,barrel"], "--pieces"),
+        (["--bottoms", "sea"], "--bottoms"),
+        (["--strategies", "ceiling"], "--strategies"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused(
+    words: list[str], where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["experiment", "sensitivity", "--pieces", "pot", "--out", str(tmp_path), "--json"]
+    assert main([*given, *words]) == 2
+    assert where in json.loads(capsys.readouterr().err)["error"]["where"]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
+import math
 import sys
 import threading
 import traceback
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Callable
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
@@ -18,6 +19,31 @@ from widgets.fault_cards import CardText
 
 log = logging.getLogger("touchdown.app")
 BOX = 64
+AGAIN_S = 5.0
+"""A text that keeps coming is written so often: a fault in every frame must fill no disk."""
+KEPT = 64
+
+
+class Repeats(logging.Filter):
+    """Lets each text through once in ``AGAIN_S``; says then how often it came in between."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._seen: OrderedDict[str, tuple[float, int]] = OrderedDict()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether ``record`` is written."""
+        text = record.getMessage()
+        since_s, count = self._seen.pop(text, (-math.inf, 0))
+        if record.created - since_s < AGAIN_S:
+            self._seen[text] = (since_s, count + 1)
+            return False
+        self._seen[text] = (record.created, 0)
+        while len(self._seen) > KEPT:
+            self._seen.popitem(last=False)
+        if count:
+            record.msg, record.args = f"{text}\n({count} times more in between)", None
+        return True
 
 
 class ErrorBox:
@@ -109,6 +135,7 @@ def log_to(folder: Path) -> Path | None:
     except OSError as error:
         log.warning("no log file: %s", error)
         return None
+    handler.addFilter(Repeats())
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     log.addHandler(handler)
     log.setLevel(logging.INFO)

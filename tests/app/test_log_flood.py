@@ -1,0 +1,77 @@
+"""An error in every frame: the log stays small, and says how often what came."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from app.error_hooks import AGAIN_S, BOX, KEPT, ErrorBox, Repeats, log, log_to
+
+FRAME_S, LASTS_S = 0.016, 60.0
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Iterator[Path]:
+    before = list(log.handlers)
+    log_to(tmp_path)
+    yield tmp_path
+    for handler in set(log.handlers) - set(before):
+        log.removeHandler(handler)
+        handler.close()
+
+
+def fail(box: ErrorBox, text: str) -> None:
+    try:
+        raise RuntimeError(text)
+    except RuntimeError:
+        box.exception(*sys.exc_info(), "the window")
+
+
+def wind(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Let the records of the log carry a hand-wound time; return it."""
+    now = [1000.0]
+    make = logging.getLogRecordFactory()
+
+    def made(*args: object, **kinds: object) -> logging.LogRecord:
+        record = make(*args, **kinds)
+        record.created = now[0]
+        return record
+
+    monkeypatch.setattr(logging, "_logRecordFactory", made)
+    return now
+
+
+def test_the_same_error_in_every_frame_is_counted_and_written_now_and_then(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    box, now = ErrorBox(), wind(monkeypatch)
+    frames = round(LASTS_S / FRAME_S)
+    for _ in range(frames):
+        fail(box, "broken paint")
+        now[0] += FRAME_S
+    now[0] += AGAIN_S
+    fail(box, "broken paint")
+    (text,) = [path.read_text() for path in folder.iterdir()]
+    written = text.count("ERROR uncaught in the window")
+    assert LASTS_S / AGAIN_S <= written <= LASTS_S / AGAIN_S + 2
+    told = [int(line[1:].split()[0]) for line in text.splitlines() if "times more" in line]
+    # None is forgotten: written ones and counted ones are all that came.
+    assert written + sum(told) == frames + 1
+    cards = 0
+    while box.take() is not None:
+        cards += 1
+    assert cards == BOX
+
+
+def test_errors_that_are_never_the_same_fill_no_disk(folder: Path) -> None:
+    for number in range(2500):
+        log.error("error %d %s", number, "x" * 2000)
+    sizes = [path.stat().st_size for path in folder.iterdir()]
+    assert sum(sizes) <= 10_000_000
+    assert (folder / "app.log").read_text().count("error 2499") == 1
+    (repeats,) = [f for h in log.handlers for f in h.filters if isinstance(f, Repeats)]
+    assert len(repeats._seen) == KEPT

@@ -22,7 +22,7 @@ from backend.catalogue.findings import Store, sentences
 from backend.catalogue.geometry import GeometryStore, TruePatch
 from backend.catalogue.journal import Journal
 from backend.catalogue.labels import LabelBook
-from backend.catalogue.local_disk import refuse_network
+from backend.catalogue.local_disk import refuse_network, weakness
 from backend.catalogue.merge import Merged
 from backend.catalogue.packs import read_packed
 from backend.catalogue.recovery import reconcile
@@ -134,7 +134,7 @@ class Dataset:
             found = reconcile(self.store)
             follow(self.database.one("SELECT coalesce(max(uuid), '') FROM episode")[0])
             self.labels.frozen = " ".join(finding.said for finding in found if finding.locks)
-            self.notices = sentences(found)
+            self.notices = (*sentences(found), *filter(None, (weakness(self.folder),)))
             if self.database.migrated_from:
                 self.notices += (
                     f"The catalogue was of schema {self.database.migrated_from}: it was brought up "

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
+NOTHING_TO_SYNC = frozenset({errno.EINVAL, errno.ENOTSUP})
+"""What a file system says of a folder that it keeps in no form that could be synced (FAT)."""
+
 
 def sync_folder(folder: Path) -> None:
-    """Make renames in ``folder`` durable (a no-op where folders cannot be synced)."""
+    """Make renames in ``folder`` durable (a no-op where folders cannot be synced).
+
+    Raises ``OSError`` where the disk refuses for any other reason.
+    """
     if os.name != "posix":
         return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in NOTHING_TO_SYNC:
+            raise
     finally:
         os.close(descriptor)
 

@@ -105,6 +105,20 @@ def test_a_backend_that_is_killed_leaves_a_stopped_arm_and_no_process(served):
     until(lambda: not psutil.pid_exists(number))
 
 
+def addresses(number):
+    """Where sockets of a process listen or, where nothing is connected, could be sent to."""
+    found = psutil.Process(number).net_connections("inet")
+    open_ones = [c for c in found if c.status == psutil.CONN_LISTEN or not c.raddr]
+    return {(c.laddr.ip if c.laddr else "") for c in open_ones}
+
+
+def test_nobody_can_come_in_but_to_emulated_devices_and_those_only_from_here(backend):
+    backend.connect()
+    # The rig calls its devices; whoever would call it finds nothing.
+    assert addresses(backend.link.hello["pid"]) == set()
+    assert addresses(os.getpid()) == {"127.0.0.1"}
+
+
 def test_what_the_rig_refuses_at_its_start_is_said_in_words(served):
     bad = served.settings.model_copy(
         update={"ft": served.settings.ft.model_copy(update={"address": ""})}

@@ -1,0 +1,50 @@
+"""A wall clock that jumps while a probe is recorded changes none of its numbers."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from backend.assembly import simulated_session
+from backend.catalogue.dataset import Dataset
+from backend.core.facts import Fact, PhaseEntered
+from backend.runs.requests import CollectRequest
+from backend.session import Keep
+from tests.backend.brisk import brisk_bench, brisk_method
+
+HOUR_NS = 3600 * 1_000_000_000
+
+
+def recorded(folder: Path, monkeypatch: pytest.MonkeyPatch, back_ns: int) -> tuple[bytes, int]:
+    """Collect one probe during whose press the clock is set back; its numbers and its time."""
+    session = simulated_session(brisk_bench("quiet"), keep=Keep(None), method=brisk_method())
+    clock, clock_ns = time.time, time.time_ns
+
+    def set_back(fact: Fact) -> None:
+        if isinstance(fact, PhaseEntered) and fact.phase == "press":
+            monkeypatch.setattr(time, "time", lambda: clock() - 1e-9 * back_ns)
+            monkeypatch.setattr(time, "time_ns", lambda: clock_ns() - back_ns)
+
+    session.hub.subscribe(set_back)
+    with Dataset.open(folder, person="ann") as dataset:
+        session.dataset = dataset
+        session.run(CollectRequest(seed=2, person="ann", count=1))
+        (entry,) = dataset.episodes()
+        episode = dataset.read(entry.uuid)
+    session.close()
+    monkeypatch.undo()
+    assert np.isfinite(episode.observation).all()
+    return episode.observation.tobytes(), entry.recorded_ns
+
+
+def test_a_clock_set_back_by_an_hour_in_mid_press_changes_no_number_and_no_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain, _ = recorded(tmp_path / "plain", monkeypatch, 0)
+    jumped, at_ns = recorded(tmp_path / "jumped", monkeypatch, HOUR_NS)
+    assert jumped == plain
+    # The time of the recording is what the wall said, and tells of the jump.
+    assert time.time_ns() - at_ns > HOUR_NS // 2

@@ -126,8 +126,8 @@ def draw_names(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: The
     face = QPointF(area.x(scene.offset_mm[0]), area.y(scene.offset_mm[1]))
     painter.setPen(QPen(theme.tokens.colour("text"), 1, Qt.PenStyle.DotLine))
     painter.drawLine(centre, face)
-    painter.setPen(QPen(theme.tokens.colour("text"), 2))
     plus(painter, face, 6)
+    painter.setPen(theme.tokens.colour("text"))
     painter.setFont(ui_font(theme.scale, 1.0, 600))
     reach = [0.55 * float(np.hypot(*outline.T).max()) for outline in (scene.bottom, scene.face)]
     places = (-reach[0] * way, away + reach[1] * way)

@@ -237,7 +237,7 @@ class CalibratePresenter:
             _, at = cast("Arm", arm).poses.latest(now_s, 1.0)
         except (StaleSampleError, AttributeError):
             return text.replace("-", minus)
-        text += "     G " + "  ".join(f"{v:.1f}" for v in at) + " mm"
+        text += "     hand at " + "  ".join(f"{v:.1f}" for v in at) + " mm"
         return text.replace("-", minus)
 
     def _draw_fingers(self, sheet: CalibrateSheet) -> None:

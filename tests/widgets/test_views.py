@@ -13,6 +13,8 @@ from widgets.decision_panel import DecisionPanel, decide_in_words, signed_mm
 from widgets.device_chip import ChipValue, DeviceChip
 from widgets.force_traces import TracePlot
 from widgets.freshness import Age
+from widgets.offset_scene import OffsetScene
+from widgets.offset_view import OffsetView
 from widgets.overlay import draw_message
 from widgets.probe_strip import ProbeStrip
 from widgets.score_panel import Score, ScorePanel
@@ -330,3 +332,20 @@ def test_words_of_an_empty_view_take_the_lines_they_need(qapp):
 
     # One line more of the title; the detail stays below it.
     assert ink(140) > 1.4 * ink(400)
+
+
+def test_names_of_bottom_and_piece_can_be_read_in_every_theme(qtbot, theme):
+    turn = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    disc = 9.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    view = OffsetView(theme, lambda _at_mm: None, lambda: None)
+    qtbot.addWidget(view)
+    view.resize(*SIZE)
+    drawn = []
+    for names in (None, ("short", "pot")):
+        view.show_scene(OffsetScene(disc, disc, (6.0, -3.0), names=names))
+        drawn.append(pixels(view))
+    text = np.array(theme.tokens.colour("text").getRgb()[:3], dtype=float)
+    added = np.abs(drawn[1] - drawn[0]).max(axis=2) > 60
+    ink = added & (np.abs(drawn[1] - text).max(axis=2) < 60)
+    bottom = slice(SIZE[0] // 2 - 90, SIZE[0] // 2 - 5)
+    assert ink[:, bottom].sum() > 30

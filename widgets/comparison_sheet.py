@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from PySide6.QtWidgets import QDialog, QHBoxLayout, QPushButton, QSpinBox, QVBoxLayout, QWidget
+from PySide6.QtWidgets import (
+    QComboBox,
+    QDialog,
+    QHBoxLayout,
+    QPushButton,
+    QSpinBox,
+    QVBoxLayout,
+    QWidget,
+)
 
 from backend.core.flow import Outcome
 from widgets.belief_scene import BeliefScene
@@ -18,12 +26,15 @@ from widgets.theme import Theme
 
 @dataclass(frozen=True, slots=True)
 class RivalLook:
-    """One strategy. ``count``: placed of tried; ``trial``: how the chosen trial went, in words."""
+    """One strategy. ``count``: placed of tried; ``rate``: success with its interval, in words;
+    ``trial``: how the chosen trial went.
+    """
 
     title: str
     outcomes: tuple[Outcome, ...] = ()
     trials: int = 0
     count: str = "Not run yet"
+    rate: str = ""
     trial: str = ""
     good: bool | None = None
     scene: BeliefScene = field(default_factory=BeliefScene)
@@ -35,9 +46,10 @@ class RivalPanel(Panel):
     def __init__(self, theme: Theme) -> None:
         super().__init__("")
         self.count, self.marks = label("", "figure"), OutcomeMarks(theme)
+        self.rate = label("", "small", wrap=True)
         self.trial = label("", wrap=True)
         self.belief = BeliefView(theme)
-        for widget in (self.count, self.marks, self.trial):
+        for widget in (self.count, self.marks, self.rate, self.trial):
             self.column.addWidget(widget)
         self.column.addWidget(self.belief, 1)
 
@@ -45,6 +57,8 @@ class RivalPanel(Panel):
         """Show how a strategy did."""
         self.rename(look.title)
         self.count.setText(look.count)
+        self.rate.setText(look.rate)
+        self.rate.setVisible(bool(look.rate))
         self.marks.show_outcomes(look.outcomes, look.trials)
         self.trial.setText(look.trial)
         set_property(self.trial, "tone", {True: "good", False: "bad", None: ""}[look.good])
@@ -53,10 +67,17 @@ class RivalPanel(Panel):
 
 
 class ComparisonSheet(QDialog):
-    """``run`` asks for what is missing; ``choose`` is told the trial (from 1). Not modal."""
+    """``run`` asks for what is missing; ``choose`` is told the trial (from 1), ``against`` the
+    strategy on the right. Not modal.
+    """
 
     def __init__(
-        self, parent: QWidget, theme: Theme, run: Callable[[], None], choose: Callable[[int], None]
+        self,
+        parent: QWidget,
+        theme: Theme,
+        run: Callable[[], None],
+        choose: Callable[[int], None],
+        against: Callable[[str], None],
     ) -> None:
         super().__init__(parent)
         self._window = parent
@@ -70,15 +91,27 @@ class ComparisonSheet(QDialog):
         self.trial.setAccessibleName("Trial")
         self.trial.setToolTip("The trial that is shown on both sides")
         self.trial.valueChanged.connect(choose)
-        self.run, close = QPushButton("Run both"), QPushButton("Close")
+        self.against = QComboBox()
+        self.against.setAccessibleName("Strategy to compare with")
+        self.against.setToolTip("The strategy on the right")
+        self.against.activated.connect(lambda at: against(self.against.itemData(at)))
+        self.run = QPushButton("Run both")
         self.run.setProperty("role", "primary")
         self.run.setAutoDefault(False)
         self.run.clicked.connect(run)
+        self._arrange()
+
+    def _arrange(self) -> None:
+        close = QPushButton("Close")
         close.clicked.connect(self.close)
         top, columns = QHBoxLayout(), QHBoxLayout()
         buddy = label("Trial", "muted")
         buddy.setBuddy(self.trial)
+        versus = label("Against", "muted")
+        versus.setBuddy(self.against)
         top.addWidget(self.head, 1)
+        top.addWidget(versus)
+        top.addWidget(self.against)
         top.addWidget(buddy)
         top.addWidget(self.trial)
         columns.setSpacing(8)
@@ -94,6 +127,13 @@ class ComparisonSheet(QDialog):
         column.addLayout(top)
         column.addLayout(columns, 1)
         column.addLayout(foot)
+
+    def offer(self, rivals: Sequence[tuple[str, str]], chosen: str) -> None:
+        """Offer these strategies (key, title) for the right side."""
+        self.against.clear()
+        for key, title in rivals:
+            self.against.addItem(title, key)
+        self.against.setCurrentIndex(self.against.findData(chosen))
 
     def open_large(self) -> None:
         """Show it over most of its window."""

@@ -129,11 +129,7 @@ class ScorePanel(Panel):
         # Beside a button of the header there is room for few words.
         last = f"{done}, {aborted} aborted" if aborted else f"{done} done"
         self.detail.setText(last if done else "")
-        rate = ""
-        if score.interval is not None:
-            low, high = (100 * bound for bound in score.interval)
-            share = 100 * placed / score.counted
-            rate = f"{share:.0f} % success, 95 % interval {low:.0f} to {high:.0f} %"
+        rate = rate_words(score)
         self._rate.setText(rate)
         self._rate.setVisible(bool(rate))
         self._marks.show()
@@ -158,3 +154,12 @@ class ScorePanel(Panel):
         self._rate.hide()
         self._void.hide()
         self._last.setText(text)
+
+
+def rate_words(score: Score) -> str:
+    """Return the success rate with its interval, "" before the first trial that counts."""
+    if score.interval is None:
+        return ""
+    low, high = (100 * bound for bound in score.interval)
+    share = 100 * sum(o is Outcome.PLACED for o in score.outcomes) / score.counted
+    return f"{share:.0f} % success, 95 % interval {low:.0f} to {high:.0f} %"

@@ -11,16 +11,18 @@ from app.activity import busy, why_no_run
 from app.link import Link
 from app.outlines import outlines
 from app.run_story import RunStory, TrialStory, scene_of
-from app.stack.rivals import Asked, Rivals, asked
+from app.stack.rivals import Asked, Rivals, asked, strategy_of
+from app.tally import score_of
 from backend.core.facts import Fact
 from backend.core.flow import Outcome
 from backend.runs.requests import StackRequest, Strategy
 from widgets.belief_scene import BeliefScene
 from widgets.comparison_sheet import ComparisonSheet, RivalLook
 from widgets.run_panel import STRATEGIES
-from widgets.score_panel import WORDS
+from widgets.score_panel import WORDS, rate_words
 from widgets.theme import Theme
 
+BLIND: Strategy = "pick-and-place"
 NOT_RUN = BeliefScene(empty=("Not run yet", "Run it with the same seed."))
 NO_MAP = BeliefScene(empty=("No belief", "This strategy lets go without a probe."))
 
@@ -38,6 +40,7 @@ class Comparison:
         self._link, self._theme, self._request, self._start = link, theme, request, start
         self._rivals = Rivals()
         self._question: StackRequest | None = None
+        self._pair: tuple[Strategy, Strategy] = ("paper", BLIND)
         self._waiting: list[Strategy] = []
         self._drawn: tuple[object, ...] = ()
         self.sheet: ComparisonSheet | None = None
@@ -49,9 +52,16 @@ class Comparison:
     def open(self, window: QWidget) -> None:
         """Compare what the form asks now."""
         if self.sheet is None:
-            self.sheet = ComparisonSheet(window, self._theme, self.run_missing, self._choose)
+            self.sheet = ComparisonSheet(
+                window, self._theme, self.run_missing, self._choose, self._compare_with
+            )
         if not self._waiting:
             self._question = self._request()
+            rivals = _rivals(simulated=self._link.simulated)
+            self._pair = both(self._question)
+            if self._pair[1] not in dict(rivals):
+                self._pair = "paper", strategy_of(rivals[0][0]) or "paper"
+            self.sheet.offer(rivals, self._pair[1])
         self._drawn = ()
         self.sheet.open_large()
         self.draw()
@@ -60,7 +70,7 @@ class Comparison:
         """Run each strategy that has not answered yet, one after the other."""
         if self._question is not None and not self._waiting and not busy(self._link):
             missing = self._missing(self._question)
-            self._waiting = missing or list(both(self._question))
+            self._waiting = missing or list(self._pair)
             self._next()
 
     def draw(self) -> None:
@@ -70,10 +80,17 @@ class Comparison:
         if self.sheet is None or not self.sheet.isVisible() or self._question is None:
             return
         question = asked(self._question)
-        stories = [self._rivals.story(question, strategy) for strategy in both(self._question)]
+        stories = [self._rivals.story(question, strategy) for strategy in self._pair]
         versions = tuple(None if story is None else story.version for story in stories)
         active = busy(self._link)
-        drawn = (question, versions, self.sheet.trial.value(), active, self._link.interlock.latched)
+        drawn = (
+            question,
+            self._pair,
+            versions,
+            self.sheet.trial.value(),
+            active,
+            self._link.interlock.latched,
+        )
         if drawn == self._drawn:
             return
         self._drawn = drawn
@@ -85,7 +102,7 @@ class Comparison:
         """Start the next strategy; a run that did not end well ends the series."""
         assert self._question is not None
         question = asked(self._question)
-        before = [s for s in both(self._question) if s not in self._waiting]
+        before = [s for s in self._pair if s not in self._waiting]
         last = self._rivals.story(question, before[-1]) if before else None
         if last is not None and last.ended is None:
             return
@@ -97,7 +114,7 @@ class Comparison:
             self._waiting = []
 
     def _missing(self, request: StackRequest) -> list[Strategy]:
-        return [s for s in both(request) if not _answered(self._rivals.story(asked(request), s))]
+        return [s for s in self._pair if not _answered(self._rivals.story(asked(request), s))]
 
     def _show(
         self,
@@ -114,7 +131,8 @@ class Comparison:
         )
         sheet.trial.setRange(1, trials)
         at, titles = sheet.trial.value() - 1, dict(STRATEGIES)
-        for panel, strategy, story in zip(sheet.panels, both(self._question), stories, strict=True):
+        sheet.against.setEnabled(not active)
+        for panel, strategy, story in zip(sheet.panels, self._pair, stories, strict=True):
             panel.show_look(self._look(titles[strategy], story, trials, at))
         missing = self._missing(self._question)
         text = "" if active else "Run both" if len(missing) == 2 else "Run the other one"
@@ -125,14 +143,15 @@ class Comparison:
     def _look(self, title: str, story: RunStory | None, trials: int, at: int) -> RivalLook:
         if story is None:
             return RivalLook(title, trials=trials, scene=NOT_RUN)
+        score = score_of(story.trials, trials, "")
         placed = sum(outcome is Outcome.PLACED for outcome in story.outcomes)
-        count = f"{placed} of {len(story.outcomes)} placed"
+        count, rate = f"{placed} of {score.counted} placed", rate_words(score)
         if at >= len(story.trials):
-            return RivalLook(title, story.outcomes, trials, count)
+            return RivalLook(title, story.outcomes, trials, count, rate)
         trial = story.trials[at]
         words, good = _words(trial)
         return RivalLook(
-            title, story.outcomes, trials, count, words, good, self._scene(story, trial)
+            title, story.outcomes, trials, count, rate, words, good, self._scene(story, trial)
         )
 
     def _scene(self, story: RunStory, trial: TrialStory) -> BeliefScene:
@@ -141,6 +160,13 @@ class Comparison:
             return NO_MAP
         return scene_of(trial, felt[-1], *outlines(self._link.catalogue, story.head))
 
+    def _compare_with(self, name: str) -> None:
+        """Put another strategy on the right; what it answered in this session is shown at once."""
+        rival = strategy_of(name)
+        if rival is not None and not self._waiting:
+            self._pair = self._pair[0], rival
+            self.draw()
+
     def _choose(self, _trial: int) -> None:
         self._drawn = ()
         self.draw()
@@ -148,7 +174,13 @@ class Comparison:
 
 def both(request: StackRequest) -> tuple[Strategy, Strategy]:
     """Return the paper's strategy and the chosen one; letting go where that is the paper's."""
-    return "paper", "pick-and-place" if request.strategy == "paper" else request.strategy
+    return "paper", BLIND if request.strategy == "paper" else request.strategy
+
+
+def _rivals(*, simulated: bool) -> list[tuple[str, str]]:
+    """Return what can stand on the right; on devices nothing is let go untested."""
+    left_out = {"paper"} if simulated else {"paper", BLIND}
+    return [(key, title) for key, title in STRATEGIES if key not in left_out]
 
 
 def _answered(story: RunStory | None) -> bool:

@@ -57,11 +57,46 @@ def test_what_is_missing_is_run_one_after_the_other(live, bench, comparing):
     assert len({asked(request) for request in bench.started}) == 1
     felt, blind = sheet.panels
     assert (felt.count.text(), blind.count.text()) == ("1 of 1 placed", "0 of 1 placed")
+    assert felt.rate.text() == "100 % success, 95 % interval 21 to 100 %"
     assert felt.trial.text().startswith("Placed after 3 probes.")
     assert felt.belief.scene.belief.probes == 2
     assert blind.trial.text().startswith("Fell")
     assert blind.belief.scene.belief is None
     assert sheet.run.text() == "Run both again"
+
+
+def test_any_strategy_can_stand_on_the_right_and_keeps_its_answer(live, bench, comparing):
+    sheet, (left, right) = comparing.sheet, comparing.sheet.panels
+    run(bench, PAPER, Outcome.PLACED, 1.6)
+    run(bench, "pressure", Outcome.PLACED, 1.1)
+    settle(live)
+    names = {sheet.against.itemData(at) for at in range(sheet.against.count())}
+    assert {"outlines", "pressure", BLIND} <= names
+    assert PAPER not in names
+    for name, count, runs in (("pressure", "1 of 1 placed", "Run both again"),
+                              ("outlines", "Not run yet", "Run the other one")):  # fmt: skip
+        at = sheet.against.findData(name)
+        sheet.against.setCurrentIndex(at)
+        sheet.against.activated.emit(at)
+        assert right.accessibleName() == sheet.against.itemText(at)
+        assert right.count.text() == count
+        assert left.count.text() == "1 of 1 placed"
+        assert sheet.run.text() == runs
+    sheet.run.click()
+    assert [request.strategy for request in bench.started] == ["outlines"]
+    settle(live)
+    assert not sheet.against.isEnabled()
+
+
+def test_devices_let_nothing_go_untested(live, bench):
+    live.go("stack")
+    bench.simulated = False
+    live.actions.action("stack.compare").trigger()
+    sheet = live.workspaces["stack"].comparison.sheet
+    assert sheet.against.findData(BLIND) == -1
+    assert sheet.against.currentData() == live.workspaces["stack"].comparison._pair[1] != BLIND
+    assert sheet.against.findData("outlines") >= 0
+    sheet.close()
 
 
 def test_a_run_that_was_cancelled_starts_no_other(live, bench, comparing):

@@ -31,7 +31,14 @@ from backend.core.facts import (
     SetUpAwaited,
     TrialStarted,
 )
-from backend.core.faults import Fault, FaultError, InputError, RefusedError, TouchdownError
+from backend.core.faults import (
+    Fault,
+    FaultError,
+    InputError,
+    RefusedError,
+    StaleSampleError,
+    TouchdownError,
+)
 from backend.core.hub import Hub
 from backend.devices.interlock import Interlock
 from backend.runs.plan import (
@@ -43,6 +50,7 @@ from backend.runs.plan import (
     timeout_fault,
 )
 from backend.runs.requests import RunState, RunStatus
+from backend.runs.stale import stale_fault
 
 _ASKS: dict[type[Fact], str] = {
     SetUpAwaited: "set the scene",
@@ -286,6 +294,8 @@ def _followed(status: RunStatus, fact: Fact) -> RunStatus:
 
 
 def _fault_of(error: Exception) -> Fault:
+    if isinstance(error, StaleSampleError):
+        return stale_fault(error)
     if isinstance(error, InputError):
         return Fault("INPUT", error.what, f"In {error.where}. Nothing was moved.", error.fix)
     return Fault(

@@ -9,7 +9,7 @@ from backend.core.facts import TrialFinished
 from backend.core.flow import Outcome
 
 DEVICE_FAULTS = frozenset({
-    "ARM-LINK", "CAMERA-DARK", "CAMERA-FROZEN", "CAMERA-LINK", "CAMERA-STALE", "CONTROLLER",
+    "ARM-LINK", "ARM-STALE", "CAMERA-DARK", "CAMERA-FROZEN", "CAMERA-LINK", "CAMERA-STALE", "CONTROLLER",
     "FT-LINK", "FT-SENSOR", "FT-STALE", "MXT-ENDED", "MXT-LOST", "MXT-START", "PRESS-VOID",
     "WSG-DEVICE", "WSG-FAST-STOP", "WSG-FRAME", "WSG-LINK", "WSG-TIMEOUT",
 })  # fmt: skip

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from typing import Generic, Literal, TypeVar
 
 from backend.core.facts import FaultRaised, Said
-from backend.core.faults import FaultError, RefusedError
+from backend.core.faults import FaultError, RefusedError, StaleSampleError
 from backend.runs.bench import Bench
 from backend.runs.motions import lift
 from backend.runs.plan import CancelledError, Plan, StoppedError
+from backend.runs.stale import stale_fault
 
 RunEnding = Literal["finished", "cancelled", "stopped", "failed"]
 R = TypeVar("R")
@@ -42,13 +43,14 @@ def orderly(bench: Bench, plan: Plan[R]) -> Plan[Ended[R]]:
         yield Said(bench.now_s(), f"Refused: {cause}")
         yield from _retreat(bench)
         return Ended(None, None, str(cause))
-    except FaultError as cause:
+    except (FaultError, StaleSampleError) as cause:
         if bench.interlock.stopped_by and not bench.interlock.faults:
             # The motion was interrupted by STOP: that is no fault of a device.
             return Ended(None, "stopped", _stopped(bench))
         # A fault that stopped the arm comes back as an interrupted motion: name the first cause.
         faults = bench.interlock.faults
-        first = FaultError(faults[0]) if faults else cause
+        found = stale_fault(cause) if isinstance(cause, StaleSampleError) else cause.fault
+        first = FaultError(faults[0] if faults else found)
         bench.interlock.raise_fault(first.fault)
         yield FaultRaised(bench.now_s(), first.fault)
         return Ended(None, "failed", str(first))

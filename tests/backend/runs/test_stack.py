@@ -187,6 +187,7 @@ def test_cancel_lifts_and_keeps_the_piece() -> None:
         ("force_torque:nan@4.0", "FT-STALE", "force_torque"),
         ("force_torque:stop@4.0", "FT-STALE", "force_torque"),
         ("force_torque:jump@4.0", "FT-TRIP", "force_torque"),
+        ("arm:silent@1.0", "ARM-STALE", "arm"),
     ],
 )
 def test_a_failing_sensor_ends_in_one_clear_fault(

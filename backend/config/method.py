@@ -23,10 +23,13 @@ TICK_S = 0.1
 """Distance of the ticks, 1 / 10 Hz [P]."""
 
 
-StrategyName = Literal["paper", "outlines", "pressure", "looking", "zero-wrench", "pick-and-place"]
+StrategyName = Literal[
+    "paper", "outlines", "pressure", "looking", "fused", "zero-wrench", "pick-and-place"
+]
 """How a trial goes from a probe to its next move: the paper's way, whole outlines in place of
 single cells, outlines that must hold the centre of pressure too, the same looking for the press
-that decides most, letting go where the push turns nothing, and letting go without a test."""
+that decides most, a network that reads all probes at once, letting go where the push turns nothing,
+and letting go without a test."""
 
 
 class Settings(BaseModel):
@@ -126,7 +129,8 @@ class LookingSettings(Settings):
     draws: Annotated[int, Field(ge=8)] = 128
     """Outlines that are drawn from the belief."""
     gain: NonNegative = 0.5
-    """Worth of one bit about standing, against the sure release there [U]."""
+    """Worth of one bit about standing at the target, against a sure release at the next press
+    [U]."""
     way: NonNegative = 0.2
     """Cost of each longest step that is left to the target afterwards [U]."""
 
@@ -145,6 +149,17 @@ class TowerSettings(Settings):
     """Centre of each bottom above the lowest from that of the one below it; none: centred."""
     sigma_mm: Positive = 2.5
     """Standard uncertainty of each along x and along y; by default that of one put there by eye."""
+
+
+class FusedSettings(Settings):
+    """Support as a network fuses it from the signals of all probes."""
+
+    weights: str = ""
+    """File of the network; empty for the one that ships."""
+    risk: Probability = 0.03
+    """Release only where the centre of mass lies in the support in all but this share [U]."""
+    inset_mm: NonNegative = 0.3
+    """The centre of mass must lie this far within the support to count as carried [U]."""
 
 
 class ReleaseSettings(Settings):
@@ -226,6 +241,7 @@ class StackSettings(Settings):
     looking: LookingSettings = LookingSettings()
     zero_wrench: ZeroWrenchSettings = ZeroWrenchSettings()
     tower: TowerSettings = TowerSettings()
+    fused: FusedSettings = FusedSettings()
     release: ReleaseSettings = ReleaseSettings()
     collect: CollectSettings = CollectSettings()
     strategy: StrategyName = "paper"

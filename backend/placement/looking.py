@@ -4,12 +4,13 @@ One press ahead (expected information gain as in Ota et al., Tactile-Filter, RSS
 2303.06034, but about stability and not about shape): for each place within a step, what would be
 felt there if each of many drawn outlines were the true one, and how sure of standing would one then
 be? Worth is the chance to be sure enough for a release there, and what is learned about standing
-there; the way that is left to the middle of the support, and the chance to touch nothing, count
-against it.
+in the place that one is after; the way that is left to that place, and the chance to touch nothing,
+count against it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import atan2, cos, dist, pi, sin
 
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from backend.config.method import LookingSettings, OutlineSettings
 from backend.core.flow import FloatArray
+from backend.objects.shapes import Outline
 from backend.placement.below import Below
 from backend.placement.outline_belief import LEAST_CELLS, OutlineBelief
 from backend.placement.outline_family import inset_mm
@@ -68,24 +70,33 @@ def worth(
     spots = np.array(at)
     faces = spots[:, None] + question.points_mm
     touch = np.stack([o.contains(faces - np.array(c)) for o, c in drawn], axis=1)
-    com = spots + np.asarray(question.com_mm)
-    insets = np.stack([inset_mm(o, com - np.array(c)) for o, c in drawn], axis=1)
-    if question.below is not None:
-        relative = com[:, None] - np.array([c for _, c in drawn])
-        lower = question.below.insets_mm(relative)
-        turn = np.arange(len(drawn)) % len(lower)
-        insets = np.minimum(insets, lower[turn, :, np.arange(len(drawn))].T)
-    stands = insets >= rules.inset_mm
+    places = np.array([*at, question.target_mm]) + np.asarray(question.com_mm)
+    stands = (_insets(places, drawn, question.below) >= rules.inset_mm).astype(np.float64)
     values = []
     for k, spot in enumerate(at):
         alike = _alike(touch[k], faces[k], question.sure, rules)
-        then = alike @ stands[k].astype(np.float64)
-        chance = float((then >= 1.0 - rules.risk).mean())
-        learned = float(_bits(stands[k].mean()) - _bits(then).mean())
+        chance = float((alike @ stands[k] >= 1.0 - rules.risk).mean())
+        learned = float(_bits(stands[-1].mean()) - _bits(alike @ stands[-1]).mean())
         nothing = float((touch[k].sum(axis=1) < LEAST_CELLS).mean())
         left = dist(spot, question.target_mm) / longest_mm
         values.append(chance + settings.gain * learned - settings.way * left - nothing)
     return np.array(values)
+
+
+def _insets(
+    places: FloatArray, drawn: Sequence[tuple[Outline, XY]], below: Below | None
+) -> FloatArray:
+    """Return (k, m): how far each of ``places`` (k, 2) lies within each drawn outline.
+
+    With a tower below, one draw of it for each outline: the least of all interfaces.
+    """
+    insets = np.stack([inset_mm(o, places - np.array(c)) for o, c in drawn], axis=1)
+    if below is not None:
+        relative = places[:, None] - np.array([c for _, c in drawn])
+        lower = below.insets_mm(relative)
+        each = np.arange(len(drawn))
+        insets = np.minimum(insets, lower[each % len(lower), :, each].T)
+    return np.asarray(insets, dtype=np.float64)
 
 
 def _alike(

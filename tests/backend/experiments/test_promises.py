@@ -38,7 +38,7 @@ def store(tmp_path: Path) -> JobStore:
 
 def answer(says: list[bool], likely: list[bool], margins: list[float | None]) -> Json:
     counts = np.zeros((3, STEPS))
-    counts[:, [40, 360]] = [[10, 10], [1, 10], [1.0, 9.0]]
+    counts[:, [40, 360]] = np.array([[10.0, 10.0], [1.0, 10.0], [1.0, 9.0]])
     return {
         "says": dict.fromkeys(NS, says),
         "likely": dict.fromkeys(NS, likely),
@@ -66,7 +66,8 @@ def test_counted_probabilities_make_the_chart_of_the_probabilities_themselves() 
     p = rng.uniform(size=20000)
     true = rng.uniform(size=20000) < p**2
     step = np.minimum((p * STEPS).astype(int), STEPS - 1)
-    counts = np.stack([np.bincount(step, w, STEPS) for w in (np.ones(len(p)), true, p)])
+    weights = (np.ones(len(p)), true.astype(float), p)
+    counts = np.stack([np.bincount(step, w, STEPS).astype(np.float64) for w in weights])
     # The mean distance between p and p squared is 1/2 - 1/3.
     assert chart_of(counts)["ece"] == pytest.approx(1 / 6, abs=0.01)
     assert sum(chart_of(counts)["count"]) == 20000

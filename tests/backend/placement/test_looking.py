@@ -76,11 +76,11 @@ def test_a_press_that_tells_two_supports_apart_is_worth_more_than_one_that_does_
     belief = believing((-9.0, 0.0), (9.0, 0.0))
     settings = LookingSettings(way=0.0)
     at = [(-2.0, 0.0), (0.0, -20.0)]
-    telling, blank = worth(belief, question((0.0, 0.0)), at, 3.0, RULES, settings)
+    telling, blank = worth(belief, question((-2.0, 0.0)), at, 3.0, RULES, settings)
     assert telling > blank + 1.0
-    # One bit is to be had at (-2, 0), where one of them carries and the other does not.
+    # One bit is to be had: at (-2, 0) one of them carries and the other does not.
     without = worth(
-        belief, question((0.0, 0.0)), at, 3.0, RULES, LookingSettings(way=0.0, gain=0.0)
+        belief, question((-2.0, 0.0)), at, 3.0, RULES, LookingSettings(way=0.0, gain=0.0)
     )
     assert telling - without[0] == pytest.approx(0.5 * 1.0, abs=0.1)
 

@@ -33,6 +33,7 @@ from backend.devices.protocols import (
     Vector,
 )
 from backend.devices.putting_back import JigEvidence, jig_refusal
+from backend.devices.retreating import Retreating
 from backend.devices.turn_limits import falls_mm, refuse_place, refuse_turning, room_rad
 
 PressForce = Callable[[], float]
@@ -93,7 +94,7 @@ class GuardedArm(_Guarded):
         super().__init__(arm)
         self._arm, self._interlock = arm, interlock
         self._now_s, self._press_n, self._surface_mm = now_s, press_n, surface_mm
-        interlock.on_stop(arm.stop)
+        interlock.on_stop(arm.stop, arm.retreat if isinstance(arm, Retreating) else None)
 
     @property
     def poses(self) -> SampleStream:

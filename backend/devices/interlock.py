@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 from backend.core.faults import Fault, RefusedError
+from backend.devices.retreating import RETREATS
 
 LEAST_OVERRIDE = 0.1
 """Slower, a move of a run would outlast the time that it is given."""
@@ -150,7 +151,7 @@ class Interlock:
         self._stopped_by = ""
         self._faults: tuple[Fault, ...] = ()
         self._lease_until_s = -math.inf
-        self._stoppers: list[Callable[[], None]] = []
+        self._stoppers: list[tuple[Callable[[], None], Callable[[], None] | None]] = []
         self._override = 1.0
         self.recovering = False
         """True from the reset of a fault until the wrist is free of contact: then the arm moves
@@ -192,10 +193,15 @@ class Interlock:
                 raise RefusedError("MOVING", "Limits change between motions only: let go first.")
             self.limits = limits
 
-    def on_stop(self, stopper: Callable[[], None]) -> None:
-        """Call ``stopper`` (which must return at once) at every stop."""
+    def on_stop(
+        self, stopper: Callable[[], None], retreat: Callable[[], None] | None = None
+    ) -> None:
+        """Call ``stopper`` at every stop, or ``retreat`` at a fault of ``RETREATS``.
+
+        Both must return at once; without ``retreat`` a stop is all there is.
+        """
         with self._lock:
-            self._stoppers.append(stopper)
+            self._stoppers.append((stopper, retreat))
 
     def forget_stoppers(self) -> None:
         """Drop the stoppers of devices that no longer exist."""
@@ -207,18 +213,26 @@ class Interlock:
         with self._lock:
             self._stopped_by = self._stopped_by or who
             stoppers = tuple(self._stoppers)
-        for stopper in stoppers:
+        for stopper, _ in stoppers:
             stopper()
 
     def raise_fault(self, fault: Fault) -> None:
-        """Latch ``fault`` (once per code and device) and stop."""
+        """Latch ``fault`` (once per code and device); stop, or draw back if that is its reaction.
+
+        The strongest reaction wins: after a STOP, or beside a fault that stops, nothing draws back.
+        """
         with self._lock:
-            known = {(f.code, f.device) for f in self._faults}
-            if (fault.code, fault.device) not in known:
+            codes = {f.code for f in self._faults}
+            if (fault.code, fault.device) not in {(f.code, f.device) for f in self._faults}:
                 self._faults = (*self._faults, fault)
             stoppers = tuple(self._stoppers)
-        for stopper in stoppers:
-            stopper()
+            stopped = bool(self._stopped_by) or not codes | {fault.code} <= RETREATS
+        for stopper, retreat in stoppers:
+            if stopped or retreat is None:
+                stopper()
+            elif not codes:
+                # Once: what draws back already is not to begin anew.
+                retreat()
 
     def reset(self) -> None:
         """Clear the latch and the faults; only the operator calls this. Moves nothing."""

@@ -70,7 +70,7 @@ class Supervision:
                     "FT-TRIP",
                     f"Force trip: {force.max():.1f} N, {moment.max():.2f} N·m "
                     f"(limits {limits.trip_n:.0f} N, {limits.trip_nm:.1f} N·m).",
-                    _KEPT,
+                    "The arm draws back by 2 mm; the gripper was not opened.",
                     "Check the piece and the support, then press Reset.",
                     "force_torque",
                 )

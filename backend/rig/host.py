@@ -27,6 +27,7 @@ from backend.devices.protocols import (
     Gripper,
     Motion,
 )
+from backend.devices.retreating import Retreating
 from backend.devices.traced import Traced
 from backend.rig.core import Inbox, Outbox, RigCore
 from backend.rig.memory import RIG_BEAT, SharedMemory
@@ -154,6 +155,14 @@ class RigHost:
         self.devices.arm.stop()
         self.devices.gripper.stop()
 
+    def _draw_back(self) -> None:
+        self._note(self._now_s(), "retreat")
+        arm = self.devices.arm
+        if isinstance(arm, Retreating):
+            arm.retreat()
+        else:
+            arm.stop()
+
     def _tell_fault(self, now_s: float, fault: Fault) -> None:
         self._note(now_s, f"fault {fault.code}: {fault.what}")
         self._say({"kind": "fault", "number": self._core.faults, "fault": fault_row(fault)})
@@ -240,6 +249,8 @@ class RigHost:
             with self._lock:
                 if self._core.stop(message["stops"]):
                     self._stop(self._now_s(), "stop")
+        elif kind == "retreat":
+            self._draw_back()
         elif kind == "stop gripper":
             self.devices.gripper.stop()
         elif kind == "cancel":

@@ -206,6 +206,11 @@ class RigLink:
             memory.beat(STOPS)
             channel.say({"kind": "stop", "stops": self._stops})
 
+    def retreat(self) -> None:
+        """Let the arm draw back from what it touches; waits for nothing."""
+        if self._channel is not None:
+            self._channel.say({"kind": "retreat"})
+
     def stop_gripper(self) -> None:
         """Stop the jaws where they are; waits for nothing."""
         if self._channel is not None:

@@ -20,7 +20,7 @@ LENGTH = struct.Struct("<I")
 KINDS = frozenset(
     {
         *("begin", "hello", "refused"),
-        *("order", "reply", "stop", "stop gripper", "cancel", "reset", "limits"),
+        *("order", "reply", "stop", "stop gripper", "retreat", "cancel", "reset", "limits"),
         *("felt", "ended", "fault"),
     }
 )

@@ -217,6 +217,10 @@ class RigArm(_Remote):
         if self._link.running:
             self._link.order("arm.halt")
 
+    def retreat(self) -> None:
+        """Draw back from what the arm touches, then stand; waits for nothing."""
+        self._link.retreat()
+
     def stop(self) -> None:
         """End the stream and stop the controller; waits for nothing."""
         self._link.stop()

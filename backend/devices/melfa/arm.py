@@ -338,6 +338,14 @@ class MelfaArm:
         with self._lock:
             self._core.halt()
 
+    def retreat(self) -> None:
+        """Draw back from what the arm touches; where no stream is open, stop."""
+        with self._lock:
+            if self._core.phase is Phase.OPEN:
+                self._orders.level.retreat(self._core)
+                return
+        self.stop()
+
     def stop(self) -> None:
         """End the stream and stop the controller on a connection of its own."""
         self._stopped.set()

@@ -26,6 +26,7 @@ from backend.devices.protocols import (
     SafetyMode,
     Vector,
 )
+from backend.devices.retreating import RETREAT_MM, RETREAT_MM_S
 from backend.devices.sim.connection import Connection, SimDevice
 from backend.devices.sim.joints import SimJoints
 from backend.devices.sim.motion import SimPressMotion
@@ -242,6 +243,16 @@ class SimArm(SimDevice):
             if self._motion is not None:
                 self._motion.end(stopped_fault(self.name))
             self._motion = self._program = None
+
+    def retreat(self) -> None:
+        """Rise straight from where the arm is, then stand; without motors, stop."""
+        self.stop()
+        if not (self._connection.ready and self._powered):
+            return
+        with self._lock:
+            up_mm = self._world.drive.command_mm + np.array([0.0, 0.0, RETREAT_MM])
+            motion = CommandedMotion({"z_mm": float(up_mm[2])})
+            self._take(motion, self._world.travel(up_mm, RETREAT_MM_S))
 
     def halt(self) -> None:
         """Stand still from the next cycle on: in a simulation the same as ``stop``."""

@@ -15,11 +15,12 @@ from backend.core.flow import FloatArray
 from backend.core.stream import SampleStream
 from backend.devices.motion import CommandedMotion
 from backend.devices.protocols import PressCommand
+from backend.devices.retreating import RETREAT_MM, RETREAT_MM_S
 from backend.devices.streamed.admittance import Law, Loop, fastest_approach_mm_s, law_for
 from backend.devices.streamed.compliance import TRIP_N, Compliance
 from backend.devices.streamed.motion import ARM, NO_WRENCH, NOTHING_MOVED, ArmPress
 from backend.devices.streamed.pressing import Press
-from backend.devices.streamed.programs import Follow, Program, Unload
+from backend.devices.streamed.programs import Follow, Program, Travel, Unload
 
 AIR_S = 1.0
 VELOCITY_NAMES = ("x_mm_s", "y_mm_s", "z_mm_s", "rx_rad_s", "ry_rad_s", "rz_rad_s")
@@ -31,6 +32,10 @@ class Core(Protocol):
     @property
     def program(self) -> object | None:
         """What goes on, or went on last."""
+
+    @property
+    def command_mm(self) -> FloatArray:
+        """(3,) commanded place of ``G``."""
 
     def run(self, program: Program) -> None:
         """Take ``program`` in place of any other."""
@@ -90,6 +95,14 @@ class StreamedOrders:
         motion = CommandedMotion({"force_n": force_n, "speed_mm_s": speed_mm_s})
         core.run(Unload(motion, compliance, force_n, speed_mm_s))
         return motion
+
+    def retreat(self, core: Core) -> None:
+        """Draw back: a press along its own law, everything else straight up from its command."""
+        if self._press is not None and core.program is self._press and self._press.retreat():
+            return
+        self.leave()
+        up_mm = core.command_mm + np.array([0.0, 0.0, RETREAT_MM])
+        core.run(Travel(CommandedMotion({"z_mm": float(up_mm[2])}), up_mm, RETREAT_MM_S))
 
     def _contact(self) -> Compliance | None:
         return None if self._press is None else self._press.compliance

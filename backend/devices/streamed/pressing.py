@@ -12,6 +12,7 @@ from backend.core.faults import Fault
 from backend.core.flow import FloatArray
 from backend.core.onset import OnsetDetector, OnsetRule
 from backend.devices.protocols import PressCommand
+from backend.devices.retreating import RETREAT_MM, RETREAT_MM_S
 from backend.devices.streamed.admittance import (
     DESIGN_N_MM,
     SPEED_MM_S,
@@ -21,12 +22,11 @@ from backend.devices.streamed.admittance import (
     law_for,
 )
 from backend.devices.streamed.compliance import OLD_S, Compliance
-from backend.devices.streamed.motion import ARM, HELD, ArmPress
+from backend.devices.streamed.motion import ARM, HELD, STOPPED, ArmPress
 from backend.devices.streamed.programs import ACCELERATION_MM_S2, Felt
 from backend.devices.streamed.stiffness import ContactStiffness
 
 AIR_S = 0.2
-RETRACT_MM, RETRACT_MM_S = 2.0, 10.0
 SILENT_S = 0.3
 """In contact the arm draws back from what it has not felt for this long."""
 
@@ -166,13 +166,21 @@ class Press:
             if self._rise_to_mm is None and comply.still_swinging(now_s):
                 self._draw_back(comply, SWINGING)
 
+    def retreat(self) -> bool:
+        """Draw back if there is a contact, for a reason from outside; whether there is one."""
+        if self.compliance is None:
+            return False
+        if self._rise_to_mm is None:
+            self._draw_back(self.compliance, STOPPED)
+        return True
+
     def _draw_back(self, comply: Compliance, fault: Fault) -> None:
         self.motion.end(fault)
-        self._rise_to_mm = float(comply.reference_mm[2]) + RETRACT_MM
+        self._rise_to_mm = float(comply.reference_mm[2]) + RETREAT_MM
 
     def _retract(self, comply: Compliance, felt: Felt) -> None:
         assert self._rise_to_mm is not None
-        z_mm = float(comply.reference_mm[2]) + RETRACT_MM_S * felt.cycle_s
+        z_mm = float(comply.reference_mm[2]) + RETREAT_MM_S * felt.cycle_s
         comply.reference_mm[2] = min(z_mm, self._rise_to_mm)
 
 

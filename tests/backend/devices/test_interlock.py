@@ -129,6 +129,45 @@ def test_a_fault_latches_once_per_device_and_stops() -> None:
     assert not interlock.latched
 
 
+TRIP = Fault("FT-TRIP", "Too much.", "Draws back.", "Look.", "arm")
+LOST = Fault("MXT-LOST", "No reply.", "Stopped.", "Look.", "arm")
+
+
+def reacting() -> tuple[Interlock, list[str]]:
+    """An interlock with an arm that can draw back and a gripper that cannot."""
+    interlock, did = Interlock(), list[str]()
+    interlock.on_stop(lambda: did.append("stop"), lambda: did.append("retreat"))
+    interlock.on_stop(lambda: did.append("jaws"))
+    return interlock, did
+
+
+def test_too_much_force_draws_back_once_and_does_not_stop_what_draws_back() -> None:
+    interlock, did = reacting()
+    interlock.raise_fault(TRIP)
+    # The same force is felt in the next cycles too, and by the other watch.
+    interlock.raise_fault(TRIP)
+    interlock.raise_fault(dataclasses.replace(TRIP, device="force_torque"))
+    assert [what for what in did if what != "jaws"] == ["retreat"]
+    assert interlock.latched
+    interlock.reset()
+    interlock.raise_fault(TRIP)
+    assert did.count("retreat") == 2
+
+
+@pytest.mark.parametrize("first", ["operator", "link"])
+def test_the_strongest_reaction_wins(first: str) -> None:
+    interlock, did = reacting()
+    interlock.raise_fault(TRIP)
+    did.clear()
+    if first == "operator":
+        interlock.stop()
+    else:
+        interlock.raise_fault(LOST)
+    assert did == ["stop", "jaws"]
+    interlock.raise_fault(dataclasses.replace(TRIP, device="force_torque"))
+    assert did == ["stop", "jaws"] * 2
+
+
 def test_limits_must_be_finite() -> None:
     with pytest.raises(ValueError, match="speed_mm_s"):
         Interlock(Limits(speed_mm_s=math.nan))

@@ -99,6 +99,9 @@ class InlineLink:
     def cancel(self):
         self.host.take({"kind": "cancel"})
 
+    def retreat(self):
+        self.host.take(through_json({"kind": "retreat"}))
+
     def stop_gripper(self):
         self.host.take({"kind": "stop gripper"})
 

@@ -116,6 +116,18 @@ def test_who_notices_that_the_backend_is_gone_stops_the_arm_at_once_and_waits_fo
     assert rig.rounds(0.004)
 
 
+def test_a_retreat_draws_back_and_goes_on_although_nobody_holds_a_lease_any_more(rig):
+    rig.lift()
+    rig.rounds(0.3)
+    before = rig.arm.describe()["z_mm"]
+    rig.neglect(10.0)
+    rig.host.take({"kind": "retreat"})
+    rig.rounds(0.5)
+    assert rig.arm.describe()["z_mm"] == pytest.approx(before + 2.0, abs=0.01)
+    assert (rig.arm.describe()["stream"], rig.told("fault")) == ("open", [])
+    assert reason(rig.lift) == "NO-LEASE"
+
+
 def test_the_rig_refuses_what_is_past_the_limits_whoever_asks(rig):
     def move(z_mm, speed_mm_s=20.0):
         target = (0.0, 0.0, z_mm, 0.0, 0.0, 0.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -190,8 +190,12 @@ class TouchdownApp(QObject):
         """Bench seconds per wall second; 0 without a bench."""
         return self.link.pace if self.link is not None else 0.0
 
-    def _place(self, ws: Workspace) -> None:
+    def _place(self, ws: Workspace) -> Iterator[None]:
+        if ws.pieces is not None:
+            ws.pieces.take_out()
         self.window.add_page(ws.name, ws.page)
+        if ws.pieces is not None:
+            yield from ws.pieces.put_back()
         self._warn(self.layouts.add(ws.name, ws.columns))
 
     def _warn(self, *notices: str) -> None:

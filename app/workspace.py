@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from PySide6.QtWidgets import QWidget
 
@@ -52,6 +53,16 @@ class Desk:
     remember: Callable[[], None]
 
 
+class Pieces(Protocol):
+    """A page whose parts can be put into the window one after the other."""
+
+    def take_out(self) -> None:
+        """Take the parts out of the page."""
+
+    def put_back(self) -> Iterator[None]:
+        """Put them back, one at a time."""
+
+
 class Workspace:
     """One tab of the window: a page, its commands, and how it follows the bench.
 
@@ -71,6 +82,8 @@ class Workspace:
     """(key, text) of keys that act while they are held; the page handles them itself."""
     columns: Columns | None = None
     """What of the page can be arranged; None: nothing."""
+    pieces: Pieces | None = None
+    """What of the page is put into the window piece by piece; None: all at once, it is small."""
     parts: Sequence[Callable[[], None]] = ()
     """What draws the page, in pieces of few ms; called in turn while the page is in front."""
 

@@ -37,14 +37,15 @@ class Workspaces(Mapping[str, Workspace]):
     """The workspaces by name. A page is made when it is first asked for.
 
     It then hears what the others have heard: the memory of it, the bench, the facts so far.
-    ``place`` gives a page that was just made its place in the window; ``warn`` shows a sentence.
+    ``place`` gives a page that was just made its place in the window, in pieces; ``warn`` shows a
+    sentence.
     """
 
     def __init__(
         self,
         desk: Desk,
         remembered: Mapping[str, Memory],
-        place: Callable[[Workspace], None],
+        place: Callable[[Workspace], Iterator[None]],
         warn: Callable[[str], None],
     ) -> None:
         self.all: Sequence[Workspace] = [make(desk) for make in WORKSPACES]
@@ -161,7 +162,7 @@ class Workspaces(Mapping[str, Workspace]):
 
     def _make(self, ws: Workspace) -> Iterator[None]:
         yield from ws.build()
-        self._place(ws)
+        yield from self._place(ws)
         yield
         self._ready[ws.name] = ws
         ws.fit_to_theme()

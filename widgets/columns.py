@@ -7,7 +7,7 @@ another version, or damaged, can be judged before it is used and cannot crash an
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from PySide6.QtCore import QEvent, Qt, Signal
@@ -106,6 +106,19 @@ class Columns(QSplitter):
             edge.setFocusPolicy(Qt.FocusPolicy.NoFocus if locked else Qt.FocusPolicy.TabFocus)
             shape = Qt.CursorShape.ArrowCursor if locked else Qt.CursorShape.SplitHCursor
             edge.setCursor(shape)
+
+    def take_out(self) -> None:
+        """Take the columns out, so that the page is put into a window without them."""
+        for part in self._parts:
+            part.setParent(None)
+
+    def put_back(self) -> Iterator[None]:
+        """Put the columns back, one at a time: each takes the window's style sheet then."""
+        for at in self._order():
+            self.addWidget(self._parts[at])
+            yield
+        self.lock(self.locked)
+        self._apply()
 
     def lead_with_controls(self, lead: bool) -> None:
         """Show the controls first, where they are the last column; or in their usual place."""

@@ -56,7 +56,7 @@ class CollectWorkspace(Workspace):
 
     def build(self) -> Iterator[None]:
         """Make both halves, and the thread that reads for them."""
-        self.page = Halves()
+        self.page = self.pieces = Halves()
         self.collect_page = CollectPage(self._desk.theme, self._intents())
         self.page.add(COLLECT, TITLES[COLLECT], self.collect_page)
         yield

@@ -48,7 +48,7 @@ class OperateWorkspace(Workspace):
         )  # fmt: skip
         yield
         self.page = OperatePage(self._desk.theme, intents, PACES, PHASES)
-        self.columns = self.page.columns
+        self.columns = self.pieces = self.page.columns
         self.keys = JogKeys(self.page, self.page.jog)
 
     def attach(self, link: Link) -> None:

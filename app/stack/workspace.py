@@ -68,7 +68,7 @@ class StackWorkspace(Workspace):
                                self._decline, self._choose, self._compare, trial)  # fmt: skip
         yield
         self.page = StackPage(self._desk.theme, intents)
-        self.columns = self.page.columns
+        self.columns = self.pieces = self.page.columns
 
     def attach(self, link: Link) -> None:
         """Show this bench."""

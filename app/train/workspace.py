@@ -78,7 +78,7 @@ class TrainWorkspace(Workspace):
                 self._order(TrainPresenter.roll_back),
             ),
         )
-        self.columns = self.page.columns
+        self.columns = self.pieces = self.page.columns
         self._show_folders(str(dataset_folder()))
         self.page.form.show_form(TrainingForm())
 

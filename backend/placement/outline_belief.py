@@ -70,6 +70,12 @@ class OutlineBelief:
         x, y = self.grid.to_mm(cell)
         return float(x), float(y)
 
+    def spread_mm(self) -> float:
+        """Return the standard deviation of the centre, that of x and y together, per axis."""
+        mass = self.weight.sum(axis=0)
+        squared = (_relative(self.grid, self.centre_mm()) ** 2).sum(axis=-1)
+        return float(np.sqrt(0.5 * (mass * squared).sum()))
+
     def margin_mm(self, point: XY, risk: float, below: Below | None = None) -> float:
         """Return the inset of ``point`` that is not reached with probability ``risk``.
 

@@ -113,7 +113,8 @@ class OutlineReasoner:
         policy, required = self._settings.policy, self._settings.outlines.inset_mm
         words = situation(stability, required)
         if stability.stable:
-            return PlaceAction("release", (0.0, 0.0), None, False, f"{words}: release.")
+            why = f"{words}: release. {_standing(outlines, here)}"
+            return PlaceAction("release", (0.0, 0.0), None, False, why)
         probes = len(self._belief.visits)
         if probes >= policy.max_probes:
             return give_up(f"{words} after {probes} probes, the most allowed: giving up.")
@@ -160,6 +161,12 @@ class OutlineReasoner:
         with np.errstate(divide="ignore"):
             log_odds = np.clip(np.log(p) - np.log1p(-p), -limit, limit)
         return replace(self._belief.map, log_odds=log_odds)
+
+
+def _standing(outlines: OutlineBelief, here: XY) -> str:
+    """Say where the piece will stand: what an entry needs when the next one comes on top."""
+    x, y = np.subtract(here, outlines.centre_mm())
+    return f"It stands {x:+.1f}, {y:+.1f} mm from the middle, sigma {outlines.spread_mm():.1f} mm."
 
 
 NOTHING = "The model returned no usable estimate: giving up without a release."

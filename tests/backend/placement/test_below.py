@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -60,6 +62,22 @@ def test_what_is_known_exactly_is_judged_as_the_exact_judge_does(catalogue: Cata
             inside += 1
             assert insets[0] == pytest.approx(exact, abs=0.02)
     assert 5 < inside < 30
+
+
+def test_a_release_says_what_the_next_entry_needs() -> None:
+    settings = StackSettings(belief=SMALL, strategy="outlines")
+    reasoner = begin(Held((0.0, 0.0), 30.0), settings, (3.0, 0.0))
+    for at in ((3.0, 0.0), (-3.0, 0.0), (0.0, 3.0), (0.0, -3.0), (3.0, 0.0)):
+        concluded = reasoner.conclude(Touched(np.zeros((20, 258), np.float32), felt(at), at))
+        if concluded.action.kind == "release":
+            break
+    words = re.search(
+        r"stands (\S+), (\S+) mm from the middle, sigma (\S+) mm", concluded.action.reason
+    )
+    assert words is not None
+    x, y, sigma = map(float, words.groups())
+    assert 0.2 < sigma < 5.0
+    assert np.hypot(x - at[0], y - at[1]) < 3.0 * sigma
 
 
 def test_a_vague_entry_leaves_towers_that_would_fall(catalogue: Catalogue) -> None:

@@ -62,6 +62,12 @@ def test_outlines_drawn_are_as_many_as_they_are_likely() -> None:
     assert all(outline.radius_mm == 10.0 for outline, _ in belief.drawn(5))
 
 
+def test_the_spread_of_the_centre_is_its_standard_deviation() -> None:
+    belief = believing((-6.0, 0.0), (6.0, 0.0))
+    assert belief.spread_mm() == pytest.approx(6.0 / 2**0.5)
+    assert believing((3.0, 1.0)).spread_mm() == pytest.approx(0.0, abs=1e-9)
+
+
 def test_what_feels_alike_stays_as_likely_and_what_does_not_is_told_apart() -> None:
     whole, left = np.ones(len(FACE), bool), FACE[:, 0] < 0
     alike = _alike(np.stack([whole, whole, left]), FACE, 10.0, RULES)

@@ -224,6 +224,13 @@ def _not_saved(error: sqlite3.OperationalError) -> Fault:
             consequence="The last action is not saved; nothing that was saved before is touched.",
             next_step="Close the program that has the catalogue open, then do the action again.",
         )
+    if error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_FULL:
+        return Fault(
+            code="DISK-FULL",
+            what="The disk is full: the catalogue could not be written.",
+            consequence="The last action is not saved; nothing that was saved before is touched.",
+            next_step="Make room on this disk, then do the action again.",
+        )
     return Fault(
         code="CATALOGUE-WRITE",
         what=f"The catalogue could not be written: {error}.",

@@ -215,10 +215,12 @@ class GoldBook:
         if not self._done or self._done[-1].after != self._book.last_step(person):
             self._undone.clear()
             return self._book.undo(person)
-        step = self._done.pop()
+        # Nothing is forgotten before it is on disk: a refusal leaves the step to be undone again.
+        step = self._done[-1]
         uuid = step.version.episode
         if step.answer is not None:
             self._book.opinion(person, uuid, NO_LABEL)
+        self._done.pop()
         self._again(step.before)
         self._undone.append(step)
         return uuid
@@ -227,8 +229,9 @@ class GoldBook:
         """Take back the last undo."""
         if not self._undone or self._undone[-1].after != self._book.last_step(person):
             return self._book.redo(person)
-        step = self._undone.pop()
+        step = self._undone[-1]
         self._keep(step)
+        self._undone.pop()
         self._again(step.version)
         self._done.append(step)
         return step.version.episode

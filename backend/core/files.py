@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from contextlib import suppress
 from pathlib import Path
 
 NOTHING_TO_SYNC = frozenset({errno.EINVAL, errno.ENOTSUP})
@@ -39,12 +40,20 @@ def make_folder(folder: Path) -> None:
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write ``content`` to ``path``: temporary name, fsync, rename, fsync of the folder."""
+    """Write ``content`` to ``path``: temporary name, fsync, rename, fsync of the folder.
+
+    If the disk refuses, ``path`` stays as it was and nothing else stays.
+    """
     make_folder(path.parent)
     part = path.with_name(f".{path.name}.part")
-    with part.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    part.replace(path)
+    try:
+        with part.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    except OSError:
+        with suppress(OSError):
+            part.unlink()
+        raise
     sync_folder(path.parent)

@@ -6,11 +6,11 @@ import json
 from dataclasses import replace
 
 from backend.catalogue.dataset import Dataset
-from backend.catalogue.diskspace import room_for
+from backend.catalogue.diskspace import NO_ROOM, room_for
 from backend.catalogue.uuid7 import follow, uuid7
 from backend.catalogue.values import EpisodeContext, EpisodeEntry, EpisodeFilter
 from backend.core.facts import CampaignBegan, RunFinished, RunStarted
-from backend.core.faults import InputError, RefusedError
+from backend.core.faults import FaultError, InputError, RefusedError
 from backend.runs.bench import Bench
 from backend.runs.campaign import Campaign, new_campaign, newest_campaign, read_campaign
 from backend.runs.collect_plan import Target, planned_mm
@@ -24,6 +24,7 @@ from backend.runs.orderly import Ended, orderly
 from backend.runs.plan import Plan
 from backend.runs.record import record_of
 from backend.runs.requests import CollectRequest
+from backend.runs.room import no_plan_saved, saved
 
 
 def collect_run(host: RunHost, request: CollectRequest) -> Plan[None]:
@@ -124,8 +125,11 @@ def _one(
     """Collect on one mounting, a new one or the rest of one; the campaign is saved around it."""
     dataset = collector.recorder.dataset
     if not mounting.goes_on:
-        collector.campaign = collector.campaign.with_mounting()
-        collector.campaign.save(dataset.folder)
+        begun = collector.campaign.with_mounting()
+        kept = yield from orderly(bench, saved(lambda: begun.save(dataset.folder)))
+        if not kept.value:
+            return kept
+        collector.campaign = begun
     origin = _origin(bench, request)
     context = _context(host, request, bench, origin, collector.campaign, dataset)
     context = replace(context, series=mounting.series or context.series)
@@ -141,8 +145,21 @@ def _one(
         yield from collector.settle(bench)
         raise
     yield from collector.settle(bench)
-    collector.campaign.save(dataset.folder)
-    return ended
+    kept = yield from orderly(bench, _saved_after(collector, dataset, waits=bool(ended.value)))
+    return ended if kept.value else kept
+
+
+def _saved_after(collector: Collector, dataset: Dataset, *, waits: bool) -> Plan[bool]:
+    """Save what a mounting left out; only a run that goes on ``waits`` for room on a full disk."""
+    if waits:
+        return (yield from saved(lambda: collector.campaign.save(dataset.folder)))
+    try:
+        collector.campaign.save(dataset.folder)
+    except OSError as error:
+        if error.errno not in NO_ROOM:
+            raise
+        raise FaultError(no_plan_saved(dataset.folder)) from error
+    return True
 
 
 def _summary(collector: Collector) -> str:

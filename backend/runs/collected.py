@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backend.catalogue.dataset import Dataset
+from backend.catalogue.recording import with_uuid
 from backend.catalogue.values import EpisodeContext, EpisodeEntry, Label
 from backend.config.method import CollectSettings
 from backend.core.flow import MARKERS, TACTILE_CHANNELS, Episode, FloatArray
@@ -88,7 +89,8 @@ class EpisodeRecorder:
     def record(self, episode: Episode, label: Label, context: EpisodeContext) -> None:
         """Begin to record; the one before must have been settled."""
         assert self._pending is None
-        self._newest = episode, label, context
+        # Its id is fixed here: whatever is tried again becomes the same episode, the same file.
+        self._newest = with_uuid(episode), label, context
         self._pending = self._begin()
 
     def settle(self) -> EpisodeEntry:

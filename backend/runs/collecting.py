@@ -42,7 +42,7 @@ from backend.runs.motions import MOVE_S, lift, rest
 from backend.runs.origin_check import check_origin
 from backend.runs.plan import Checkpoint, Plan, Waiting, motion_done
 from backend.runs.probe import press_once, scene_pictures
-from backend.runs.room import FULL, no_room, refused_episode, room_awaited
+from backend.runs.room import FULL, no_room, refused_episode, room_awaited, saved
 from backend.sensing.episode import EpisodeLimits
 
 OPERATOR_S = 24 * 3600.0
@@ -275,7 +275,7 @@ class Collector:
         entry, item = self._last
         person = entry.person
         try:
-            self._decide(decision, entry, item)
+            yield from saved(lambda: self._decide(decision, entry, item))
         except RefusedError as cause:
             yield Said(bench.now_s(), f"Refused: {cause.detail}")
         else:

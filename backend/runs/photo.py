@@ -16,7 +16,8 @@ _BEGINS = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n")
 def keep_photo(run: Path, trial: int, source: Path) -> Path:
     """Copy ``source`` into the folder of a run as the picture of ``trial``; return its new path.
 
-    Later pictures of the same trial get numbers. Raises ``InputError`` naming the file.
+    Each gets the number after the last: none takes the place of another. Raises ``InputError``
+    naming the file.
     """
     fix = "Choose a JPEG or PNG picture below 30 MB."
     try:
@@ -25,8 +26,10 @@ def keep_photo(run: Path, trial: int, source: Path) -> Path:
         content = source.read_bytes()
         if source.suffix.lower() not in KINDS or not content.startswith(_BEGINS):
             raise InputError("This is no picture.", str(source), fix)
-        taken = len(list((run / FOLDER).glob(f"trial-{trial:03d}-*")))
-        path = run / FOLDER / f"trial-{trial:03d}-{taken + 1}{source.suffix.lower()}"
+        name = f"trial-{trial:03d}-"
+        taken = [p.stem.removeprefix(name) for p in (run / FOLDER).glob(f"{name}*")]
+        number = max((int(word) for word in taken if word.isdecimal()), default=0) + 1
+        path = run / FOLDER / f"{name}{number}{source.suffix.lower()}"
         write_atomically(path, content)
     except OSError as error:
         what = f"The picture cannot be kept: {error.strerror or error}."

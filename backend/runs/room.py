@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from backend.catalogue.diskspace import free_to_go_on
+from backend.catalogue.diskspace import NO_ROOM, free_to_go_on
 from backend.core.faults import Fault, FaultError
 from backend.runs.bench import EpisodeStore
 from backend.runs.plan import CancelledError, Checkpoint, Plan, StoppedError
@@ -35,6 +35,38 @@ def refused_episode(fault: Fault) -> Fault:
     """Return what to say of a probe that is still held in memory, since the disk refused it."""
     return replace(fault, consequence=f"{CONSEQUENCE} The last one is kept in memory.",
                    next_step=NEXT_STEP)  # fmt: skip
+
+
+def saved(save: Callable[[], None]) -> Plan[bool]:
+    """Save something small, and return True; a full disk pauses the run until it is saved.
+
+    Raises ``FaultError`` or ``OSError`` where the disk refuses for another reason.
+    """
+    while True:
+        try:
+            save()
+        except FaultError as error:
+            if error.fault.code != FULL:
+                raise
+            fault = error.fault
+        except OSError as error:
+            if error.errno not in NO_ROOM:
+                raise
+            fault = Fault(FULL, "The disk is full.", "", "")
+        else:
+            return True
+        yield Checkpoint(replace(fault, consequence=CONSEQUENCE, next_step=NEXT_STEP))
+
+
+def no_plan_saved(folder: Path) -> Fault:
+    """Return what to say where a campaign that ended could not write down what it left out."""
+    return Fault(
+        FULL,
+        f"The disk of {folder} is full: the plan of the campaign could not be saved.",
+        "Every probe is safe; places that were left out will be probed when it goes on.",
+        "Make room on this disk, then press Reset.",
+        "store",
+    )
 
 
 def durable(store: EpisodeStore) -> Plan[Path | None]:

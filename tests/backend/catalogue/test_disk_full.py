@@ -6,7 +6,8 @@ import os
 import resource
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,10 @@ import pytest
 from backend.catalogue import diskspace
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.diskspace import room_for
-from backend.catalogue.values import Label
+from backend.catalogue.values import EpisodeContext, Label
 from backend.core.faults import FaultError, InputError
+from backend.core.flow import Episode
+from backend.runs.collected import EpisodeRecorder
 from tests.backend.catalogue.conftest import context_for, small_episode
 
 
@@ -123,6 +126,53 @@ def test_a_commit_that_fails_leaves_the_file_to_be_adopted(tmp_path: Path) -> No
     with Dataset.open(folder) as dataset:
         assert any("adopted" in notice for notice in dataset.notices)
         assert len(dataset.episodes()) == len(listed) + 2
+
+
+def test_a_catalogue_without_room_is_a_full_disk_and_what_is_tried_again_the_same_episode(
+    tmp_path: Path,
+) -> None:
+    folder = tmp_path / "data"
+    with Dataset.open(folder) as dataset, closing(EpisodeRecorder(dataset)) as recorder:
+        context, label = context_for(dataset), Label(1, 0, 0, 1)
+        room = limit_pages(dataset, 1)
+        episode = recorded_until_full(recorder, context, label)
+        listed = len(dataset.episodes())
+        with pytest.raises(FaultError):
+            recorder.settle()
+        limit_pages(dataset, room)
+        last = recorder.settle()
+        names = {path.stem for path in (folder / "raw").rglob("*.mcap")}
+        assert names == {entry.uuid for entry in dataset.episodes()}
+        assert len(names) == listed + 1
+        assert np.array_equal(dataset.read(last.uuid).observation, episode.observation)
+    with Dataset.open(folder) as dataset:
+        assert dataset.notices == ()
+
+
+def recorded_until_full(
+    recorder: EpisodeRecorder, context: EpisodeContext, label: Label
+) -> Episode:
+    """Record until the disk is full; return the episode that it refused."""
+    for seed in range(200):
+        episode = replace(small_episode(seed=seed), episode_id="of the bench")
+        recorder.record(episode, label, context)
+        try:
+            recorder.settle()
+        except FaultError as error:
+            if error.fault.code == "DISK-FULL":
+                return episode
+            raise
+    raise AssertionError("the limit did not bind")
+
+
+def limit_pages(dataset: Dataset, pages: int) -> int:
+    """Let the catalogue have no more ``pages`` (or as many as it has); returns the former limit."""
+    with dataset.database.reading() as reader:
+        (used,) = reader.execute("PRAGMA page_count").fetchone()
+    with dataset.database.transaction() as connection:
+        (before,) = connection.execute("PRAGMA max_page_count").fetchone()
+        connection.execute(f"PRAGMA max_page_count = {max(pages, used)}")
+    return int(before)
 
 
 class Usage:

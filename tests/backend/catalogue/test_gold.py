@@ -12,7 +12,7 @@ from backend.catalogue.comparison import against_gold
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.gold import GOLD_EVERY, GoldBook, disguised, mixed
 from backend.catalogue.values import Label, Looked
-from backend.core.faults import RefusedError
+from backend.core.faults import Fault, FaultError, RefusedError
 from tests.backend.catalogue.conftest import Record, context_for, small_episode
 
 ACTIONS = ("set", "accept", "reject", "take over", "restore", "verdict", "undo", "redo")
@@ -132,3 +132,27 @@ def test_what_is_decided_is_an_opinion_that_undo_withdraws(
     assert dataset.queue("gold", "ann") == []
     # Who approved or wrote the label is measured against nothing of their own.
     assert against_gold(dataset.database, dataset.geometry, "bob").episodes == 0
+
+
+def test_a_disk_that_refuses_leaves_undo_and_redo_of_gold_to_be_done_again(
+    dataset: Dataset, record: Record, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    uuid = gold_of(record, dataset)
+    book = GoldBook(dataset.labels)
+    book.begin("ann", {uuid: (7, dataset.labels.history(uuid)[0])})
+    book.accept("ann", uuid, Label(1600, 0, 0, 50))
+    keep, full = dataset.labels.opinion, Fault("DISK-FULL", "Full.", "Not saved.", "Room.")
+
+    def refuse(*_args: object, **_named: object) -> None:
+        raise FaultError(full)
+
+    for again, state in ((book.undo, "draft"), (book.redo, "submitted")):
+        before = book.head(uuid)
+        monkeypatch.setattr(dataset.labels, "opinion", refuse)
+        with pytest.raises(FaultError):
+            again("ann")
+        assert book.head(uuid) == before
+        monkeypatch.setattr(dataset.labels, "opinion", keep)
+        assert again("ann") == uuid
+        assert book.head(uuid).state == state
+    assert against_gold(dataset.database, dataset.geometry, "ann").episodes == 1

@@ -1,7 +1,8 @@
-"""Every probe that is in the dataset was announced, whatever ended its run and wherever."""
+"""What is in the dataset was announced, whatever ended its run; a full disk loses no decision."""
 
 from __future__ import annotations
 
+import errno
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +10,19 @@ import pytest
 
 from backend.assembly import simulated_session
 from backend.catalogue.dataset import Dataset
-from backend.core.facts import EpisodeRecorded, ProbeCollected, RunFinished
+from backend.catalogue.labels import LabelBook
+from backend.catalogue.values import EpisodeFilter
+from backend.core.facts import (
+    EpisodeDecided,
+    EpisodeRecorded,
+    Paused,
+    ProbeCollected,
+    RunFinished,
+)
+from backend.core.faults import Fault, FaultError
+from backend.runs import campaign as campaigns
 from backend.runs import collecting
+from backend.runs.campaign import newest_campaign, read_campaign
 from backend.runs.collected import Measured
 from backend.runs.collecting import Collector
 from backend.runs.judged import Felt
@@ -24,13 +36,14 @@ from tests.backend.brisk import brisk_bench, brisk_method
 def collect(tmp_path, monkeypatch):
     """Return what runs a campaign of one probe, which is taken at once and then goes wrong."""
 
-    def run(goes_wrong, when_told=None):
+    def run(goes_on, when_told=None, kind=EpisodeRecorded):
         def mounting(self, bench, target, origin, context, after=0):
             felt = Felt(make_episode(7, frames=1), 1, bench.now_s(), 0.0)
             where = Measured(np.array([1.0, -2.0]), 0.1, 20.0)
             context = replace(context, grip_id=f"{context.mounting_id}/grip-1", plan_item=0)
             self._enter(collecting._Taken(felt, 0, where, 0.0), context)
-            yield from goes_wrong(self, bench)
+            yield from goes_on(self, bench)
+            return True
 
         monkeypatch.setattr(Collector, "mounting", mounting)
         session = simulated_session(brisk_bench("quiet"), keep=Keep(None), method=brisk_method())
@@ -38,7 +51,7 @@ def collect(tmp_path, monkeypatch):
 
         def take(fact):
             facts.append(fact)
-            if when_told is not None and isinstance(fact, EpisodeRecorded):
+            if when_told is not None and isinstance(fact, kind):
                 when_told(session)
 
         with Dataset.open(tmp_path / "ds", person="ann") as dataset:
@@ -49,7 +62,8 @@ def collect(tmp_path, monkeypatch):
             except ValueError as raised:
                 error = raised
             session.close()
-            return facts, [entry.uuid for entry in dataset.episodes()], error
+            kept = [e.uuid for e in dataset.episodes(EpisodeFilter(deleted=None))]
+            return facts, kept, error
 
     return run
 
@@ -75,3 +89,56 @@ def test_a_probe_is_announced_in_full_though_the_run_is_cancelled_while_it_is(co
     assert told == [EpisodeRecorded, ProbeCollected]
     assert [f.uuid for f in facts if isinstance(f, ProbeCollected)] == stored
     assert facts[-1].ending == "cancelled"
+
+
+def skip_the_probe(collector, bench):
+    yield from collector._settled(bench)
+    collector._decisions.give("skip")
+    yield from collector._carry_out(bench)
+
+
+def test_a_decision_waits_for_room_and_is_carried_out_then(collect, tmp_path, monkeypatch):
+    delete, refused = LabelBook.delete, []
+
+    def full(self, *args):
+        if len(refused) < 2:
+            refused.append(args)
+            raise FaultError(Fault("DISK-FULL", "The disk is full.", "Not saved.", "Room."))
+        delete(self, *args)
+
+    monkeypatch.setattr(LabelBook, "delete", full)
+    facts, _, _ = collect(skip_the_probe, lambda session: session.engine.resume(), Paused)
+    assert [fact.fault.code for fact in facts if isinstance(fact, Paused)] == ["DISK-FULL"] * 2
+    assert [fact.decision for fact in facts if isinstance(fact, EpisodeDecided)] == ["skip"]
+    assert facts[-1].ending == "finished"
+    folder = tmp_path / "ds"
+    assert read_campaign(folder, newest_campaign(folder)).skipped == (0,)
+    with Dataset.open(folder, write=False) as dataset:
+        assert dataset.episodes() == []
+
+
+@pytest.mark.parametrize("nth", [1, 2])
+@pytest.mark.parametrize("room_made", [True, False])
+def test_the_plan_waits_for_room_before_and_after_a_mounting(
+    collect, tmp_path, monkeypatch, nth, room_made
+):
+    """Once for the mounting that begins, once for the place that was left out."""
+    write, calls = campaigns.write_atomically, []
+
+    def full(path, content):
+        calls.append(path)
+        if len(calls) == nth:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(path, content)
+
+    monkeypatch.setattr(campaigns, "write_atomically", full)
+    act = (lambda s: s.engine.resume()) if room_made else (lambda s: s.engine.cancel())
+    facts, stored, error = collect(skip_the_probe, act, Paused)
+    assert error is None
+    assert len([fact for fact in facts if isinstance(fact, Paused)]) == 1
+    assert facts[-1].ending == ("finished" if room_made else "cancelled")
+    assert len(stored) == (0 if nth == 1 and not room_made else 1)
+    if room_made:
+        folder = tmp_path / "ds"
+        kept = read_campaign(folder, newest_campaign(folder))
+        assert (kept.mountings, kept.skipped) == (1, (0,))

@@ -27,6 +27,7 @@ STRATEGIES = (
     ("outlines", "Believe in outlines"),
     ("pressure", "Outlines and pressure"),
     ("looking", "Look before moving"),
+    ("fused", "Learned fusion"),
     ("zero-wrench", "Release at zero wrench"),
     ("pick-and-place", "Pick and place"),
 )

@@ -41,6 +41,7 @@ from backend.objects.catalogue import load_catalogue
 from backend.objects.surface import face_points
 from backend.objects.tower import Tower, judge
 from backend.placement.below import Below
+from backend.placement.fused import network_of
 from backend.placement.strategies import begin
 from backend.placement.strategy import XY, Reasoner
 from backend.sensing.episode import EpisodeLimits
@@ -154,6 +155,8 @@ class Beyond:
             "strategy": strategy,
             "trials": min(CHUNK, self.trials - first),
         }
+        if strategy == "fused":
+            params["fused_sha256"] = network_of(self.method.fused).card.weights_sha256
         if bottom in TOWERS:
             params["entry_sigma_mm"] = self.entry_sigma_mm
         seed = STACKING_SEED + CELL_SEEDS * cell + first

@@ -24,6 +24,7 @@ from backend.experiments.closed_loop import pick_and_place_in_lockstep, stack_in
 from backend.experiments.collection import jobs_of, metadata_of, rows_of
 from backend.experiments.distribution import find_twins, held, largest_marker_px
 from backend.experiments.film import film_strip
+from backend.experiments.fused import FUSED_KINDS
 from backend.experiments.given_models import WEIGHTS, load_model
 from backend.experiments.models import batch_model
 from backend.experiments.promises import promises
@@ -277,6 +278,7 @@ def _finite(value: float) -> float | None:
 
 
 KINDS: Kinds = {
+    **FUSED_KINDS,
     "simulate": simulate,
     "train": train,
     "static": static,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from backend.config.method import StackSettings
 from backend.core.faults import InputError
+from backend.placement.fused import FusedReasoner
 from backend.placement.outlines import OutlineReasoner
 from backend.placement.strategy import XY, Held, PaperReasoner, Reasoner
 from backend.placement.zero_wrench import ZeroWrenchReasoner
@@ -16,6 +17,8 @@ def begin(held: Held, settings: StackSettings, origin_mm: XY) -> Reasoner:
     """
     if settings.strategy == "paper":
         return PaperReasoner(held, settings, origin_mm)
+    if settings.strategy == "fused":
+        return FusedReasoner(held, settings, origin_mm)
     if settings.strategy == "zero-wrench":
         return ZeroWrenchReasoner(held, settings, origin_mm)
     if settings.strategy == "pick-and-place":

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from backend.core.faults import InputError
 from backend.verbs.experiment_asked import ASKED, add_asked_arguments, ask
+from backend.verbs.experiment_fused import add_fused_arguments, train_fused
 from backend.verbs.screen import Screen
 
 if TYPE_CHECKING:
@@ -31,9 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
         "what",
-        choices=("tables", "beyond", *ASKED),
-        help="the paper's Tables I to III; strategies beyond the paper, and the ceiling; all that "
-        "in a second simulated world; or what each nuisance of the bench costs",
+        choices=("tables", "beyond", "fused", *ASKED),
+        help="the paper's Tables I to III; strategies beyond the paper, and the ceiling; train the "
+        "network of fusion; what exists in a second simulated world; or what each nuisance of the "
+        "bench costs",
     )
     scale = parser.add_mutually_exclusive_group()
     scale.add_argument(
@@ -71,13 +73,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--shard", metavar="i/n", help="do every n-th job only, for batch queues")
     beyond = parser.add_argument_group("beyond")
     beyond.add_argument("--strategies", default="paper,outlines,pressure", help="or looking, "
-                        "zero-wrench, ceiling, ceiling-diameter, pick-and-place "
+                        "fused, zero-wrench, ceiling, ceiling-diameter, pick-and-place "
                         "(default: %(default)s)")  # fmt: skip
     beyond.add_argument("--bottoms", default="short,long", help="or hex20, rect12x28, and towers "
                         "short+long, short+hex20, short+rect12x28 "
                         "(default: %(default)s)")  # fmt: skip
     beyond.add_argument("--trials", type=int, default=50, help="of a cell (default: %(default)s)")
     add_asked_arguments(parser)
+    add_fused_arguments(parser)
     beyond.add_argument("--statics", type=int, default=0, metavar="GROUPS", help="also ask each "
                         "strategy at so many places of a cell, after 1 to 5 probes")  # fmt: skip
     beyond.add_argument("--entry-sigma", type=float, default=1.0, metavar="MM", help="how well the "
@@ -98,8 +101,9 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     store = JobStore(_folder(args.out) / "jobs")
     if args.what == "beyond":
         return _run_beyond(args, screen, store)
-    if args.what in ASKED:
-        answer = ask(args, screen, store, lambda j, e: _done(j, e, args, screen, store))
+    if args.what in ("fused", *ASKED):
+        way = train_fused if args.what == "fused" else ask
+        answer = way(args, screen, store, lambda j, e: _done(j, e, args, screen, store))
         screen.result({"version": JSON_VERSION, **answer})
         return 1 if answer["failed"] else 0
     recipe = _recipe(args, store)

@@ -32,9 +32,13 @@ class Inset:
         """Return (n,) the mean."""
         return np.asarray((self.weight * self.mean_mm).sum(axis=-1))
 
-    def exceeds(self, least_mm: float) -> FloatArray:
-        """Return (n,) the probability that it is more than ``least_mm``."""
-        z = (self.mean_mm - least_mm) / self.sd_mm
+    def parts(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return weight, mean and sd."""
+        return self.weight, self.mean_mm, self.sd_mm
+
+    def exceeds(self, least_mm: float | FloatArray) -> FloatArray:
+        """Return (n,) the probability that it is more than ``least_mm``, one number or (n,)."""
+        z = (self.mean_mm - np.asarray(least_mm)[..., None]) / self.sd_mm
         return np.asarray((self.weight * _normal(z)).sum(axis=-1))
 
 

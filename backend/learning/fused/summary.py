@@ -104,6 +104,17 @@ def acting_mm(growth: FloatArray, lever_mm: FloatArray) -> FloatArray:
     return np.asarray(np.clip(at, -FARTHEST_MM, FARTHEST_MM))
 
 
+def felt_at(wrench: Array, sensor_mm: float) -> Array:
+    """Return the wrench (..., 6) as a sensor ``SENSOR_MM`` above the pivot feels it, from one that
+    is ``sensor_mm`` above: the lateral force turns about another lever.
+    """
+    moved = wrench.copy()
+    lever_m = np.float32(1e-3 * (SENSOR_MM - sensor_mm))
+    moved[..., 3] += lever_m * wrench[..., 1]
+    moved[..., 4] -= lever_m * wrench[..., 0]
+    return moved
+
+
 def centred(field: Array) -> FloatArray:
     """Return marker fields (..., 8, 252) as (..., 2, 8, 126), their uniform shift taken out."""
     shapes = field.shape[:-2]

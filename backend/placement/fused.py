@@ -1,0 +1,155 @@
+"""The strategy of learned fusion: a network reads all probes of the trial at once.
+
+It says how far any point lies within the support, as a distribution. Released where the centre of
+mass lies within in all but an accepted share; otherwise a step towards where it would lie deepest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from backend.config.method import FusedSettings, StackSettings
+from backend.core.flow import (
+    TACTILE_CHANNELS,
+    BeliefMap,
+    FloatArray,
+    PlaceAction,
+    Stability,
+    SupportKind,
+)
+from backend.learning.fused.checkpoint import FusedCheckpoint, load_fused, shipped_fused
+from backend.learning.fused.forward import FusedForward, Inset
+from backend.learning.fused.summary import TICKS, Face, felt_at
+from backend.placement.belief import Belief
+from backend.placement.policy import Aim, give_up, situation, towards
+from backend.placement.stability import support_hull_mm
+from backend.placement.strategy import XY, Conclusion, Held, Touched
+from backend.placement.targets import next_on_spiral
+
+NOTHING = "The signals of the probe are no numbers: giving up without a release."
+EVEN = 0.5
+FARTHEST_MM = 14.0
+"""Farther from the last probe the network was asked too seldom to be followed."""
+STEPS_MM = np.arange(-15.0, 15.0, 0.05)
+
+
+class FusedReasoner:
+    """Keeps the signals of all probes; asks the network anew after each."""
+
+    def __init__(self, held: Held, settings: StackSettings, origin_mm: XY) -> None:
+        found = network_of(settings.fused)
+        self._forward = FusedForward(found.arrays, found.shape)
+        self._held, self._settings = held, settings
+        self._sensor_mm = held.lever_mm() - held.grip_height_mm
+        self._belief = Belief.unknown(settings.belief, origin_mm, held.base_rate)
+        self._seen: list[FloatArray] = []
+        self._offset_mm: list[XY] = []
+        self._last: FloatArray | None = None
+
+    def conclude(self, touched: Touched) -> Conclusion:
+        """Ask about the place and the map, judge by the accepted risk, choose."""
+        settings, here = self._settings, touched.offset_mm
+        self._belief = self._belief.updated(touched.patch, here)
+        self._offset_mm.append(here)
+        self._seen.append(np.asarray(touched.observation[TICKS, :], dtype=np.float64))
+        com = self._held.com_xy_mm
+        centre = here[0] + com[0], here[1] + com[1]
+        if not np.isfinite(self._seen).all():
+            nothing = Stability(
+                False, np.nan, SupportKind.NO_ESTIMATE, np.zeros((0, 2)), centre, "belief"
+            )
+            return Conclusion(self._belief.map, nothing, give_up(NOTHING))
+        known = self._last = self._known(touched.patch.points_mm)
+        margin_mm = self._at_risk_mm(self._inset(known, np.array([com]), here))
+        cells = self._belief.map.cell_centres_mm() - np.asarray(here)
+        over = self._inset(known, cells.reshape(-1, 2), here)
+        shown = self._shown(over)
+        stability = Stability(
+            margin_mm >= settings.fused.inset_mm,
+            margin_mm,
+            SupportKind.AREA,
+            support_hull_mm(replace(self._belief, map=shown), shown.log_odds > 0.0),
+            centre,
+            "belief",
+        )
+        action = self._choose(stability, deepest(over, cells, com), here)
+        return Conclusion(shown, stability, action)
+
+    def stable_at(self, offset_mm: XY) -> bool:
+        """Ask about another place of the face."""
+        inset = self._at(offset_mm)
+        return inset is not None and self._at_risk_mm(inset) >= self._settings.fused.inset_mm
+
+    def likely_at(self, offset_mm: XY) -> bool:
+        """Whether the centre of mass lies in the support there rather than outside."""
+        inset = self._at(offset_mm)
+        return inset is not None and bool(inset.exceeds(0.0)[0] > EVEN)
+
+    def _at(self, offset_mm: XY) -> Inset | None:
+        if self._last is None:
+            return None
+        here, com = self._offset_mm[-1], self._held.com_xy_mm
+        point = offset_mm[0] - here[0] + com[0], offset_mm[1] - here[1] + com[1]
+        return self._inset(self._last, np.array([point]), here)
+
+    def _known(self, points_mm: FloatArray) -> FloatArray:
+        seen = np.stack(self._seen).astype(np.float32)
+        held = self._held
+        com = np.asarray(held.com_xy_mm, dtype=np.float64)
+        face = Face.of(points_mm, com, np.asarray(held.grip_height_mm))
+        fields = seen[..., :TACTILE_CHANNELS]
+        wrench = felt_at(seen[..., TACTILE_CHANNELS:], self._sensor_mm)
+        known = self._forward.known(wrench, fields, np.array(self._offset_mm), face)
+        return np.asarray(known[-1], dtype=np.float64)
+
+    def _inset(self, known: FloatArray, points_mm: FloatArray, here: XY) -> Inset:
+        away = np.subtract(here, self._offset_mm[0])
+        return self._forward.inset(known, points_mm, away)
+
+    def _at_risk_mm(self, inset: Inset) -> float:
+        """Return the inset of one point that is not reached with the accepted risk."""
+        repeated = Inset(*(np.repeat(v, len(STEPS_MM), axis=0) for v in inset.parts()))
+        reached = repeated.exceeds(STEPS_MM)
+        kept = np.flatnonzero(reached >= 1.0 - self._settings.fused.risk)
+        return float(STEPS_MM[kept[-1]]) if len(kept) else float(STEPS_MM[0])
+
+    def _choose(self, stability: Stability, target: XY, here: XY) -> PlaceAction:
+        policy, required = self._settings.policy, self._settings.fused.inset_mm
+        words = situation(stability, required)
+        if stability.stable:
+            return PlaceAction("release", (0.0, 0.0), None, False, f"{words}: release.")
+        probes = len(self._belief.visits)
+        if probes >= policy.max_probes:
+            return give_up(f"{words} after {probes} probes, the most allowed: giving up.")
+        to = here[0] + target[0], here[1] + target[1]
+        aim = Aim(to, "")
+        if np.hypot(*target) < self._settings.belief.min_shift_mm:
+            aim = Aim(next_on_spiral(here, self._belief, policy), "looking around")
+        return towards(stability, aim, here, policy.longest_step_mm, required)
+
+    def _shown(self, over: Inset) -> BeliefMap:
+        """Return the probability of support as a map."""
+        limit, shape = self._settings.belief.log_odds_limit, self._belief.map.log_odds.shape
+        p = over.exceeds(0.0).reshape(shape)
+        with np.errstate(divide="ignore"):
+            log_odds = np.clip(np.log(p) - np.log1p(-p), -limit, limit)
+        return replace(self._belief.map, log_odds=log_odds)
+
+
+def network_of(settings: FusedSettings) -> FusedCheckpoint:
+    """Return the network that the settings name; raises ``InputError``."""
+    return load_fused(Path(settings.weights)) if settings.weights else shipped_fused()
+
+
+def deepest(over: Inset, cells_mm: FloatArray, com_mm: XY) -> XY:
+    """Return the shift (mm) that brings the centre of mass where it is expected to lie deepest.
+
+    ``cells_mm`` (ny, nx, 2): the points of ``over``, from the present place of the face.
+    """
+    shift = cells_mm.reshape(-1, 2) - np.asarray(com_mm)
+    near = np.hypot(shift[:, 0], shift[:, 1]) <= FARTHEST_MM
+    best = int(np.where(near, over.expected_mm(), -np.inf).argmax())
+    return float(shift[best, 0]), float(shift[best, 1])

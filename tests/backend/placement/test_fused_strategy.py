@@ -1,0 +1,129 @@
+"""The strategy of learned fusion on presses of bench-v1: what it knows after three of them, and
+what it does where it knows nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from backend.config.method import BeliefSettings, FusedSettings, PolicySettings, StackSettings
+from backend.config.simulation import load_simulation
+from backend.core.faults import InputError
+from backend.core.flow import ContactPatch
+from backend.learning.fused.checkpoint import shipped_fused
+from backend.learning.fused.forward import Inset
+from backend.learning.fused.summary import felt_at
+from backend.objects.catalogue import load_catalogue
+from backend.objects.shapes import circle
+from backend.objects.surface import face_points
+from backend.objects.tower import Body, Tower
+from backend.placement.fused import FusedReasoner, deepest
+from backend.placement.strategies import begin
+from backend.placement.strategy import XY, Conclusion, Held, Touched
+from backend.simulation.lockstep import Lockstep, Presses
+from backend.simulation.scene import Scene
+
+PLACES = ((7.0, 2.0), (4.5, 1.0), (2.0, 0.5))
+FACE = face_points(circle(15.0))
+HELD = Held((0.0, 0.0), 30.0, sensor_height_mm=120.0)
+SMALL = BeliefSettings(half_extent_mm=20.0)
+SETTINGS = StackSettings(strategy="fused", belief=SMALL)
+MOUNTINGS = 5
+
+
+@pytest.fixture(scope="module")
+def presses() -> list[Presses]:
+    """The pot on a disc of 24 mm, five mountings, pressed at three places in turn."""
+    piece, face = load_catalogue().top("pot"), circle(24.0)
+    tower = Tower((Body("disc", face, face, 20.0, 0.0, 10.0, fixed=True),))
+    bench = load_simulation(preset="bench-v1")
+    scenes = [Scene(piece, tower, (0.0, 0.0), 700 + k, bench) for k in range(MOUNTINGS)]
+    lockstep = Lockstep(scenes)
+    return [lockstep.press(range(MOUNTINGS), np.tile(place, (MOUNTINGS, 1))) for place in PLACES]
+
+
+def concluded(
+    presses: list[Presses], trial: int, settings: StackSettings = SETTINGS, held: Held = HELD
+) -> tuple[FusedReasoner, list[Conclusion]]:
+    reasoner = FusedReasoner(held, settings, PLACES[0])
+    found = []
+    for felt, place in zip(presses, PLACES, strict=True):
+        patch = ContactPatch(FACE.copy(), np.full(len(FACE), 0.5))
+        found.append(reasoner.conclude(Touched(felt.observation[trial], patch, place)))
+    return reasoner, found
+
+
+def test_three_presses_say_where_the_support_is(presses: list[Presses]) -> None:
+    right = wrong = 0
+    parted: list[float] = []
+    for trial in range(MOUNTINGS):
+        reasoner, found = concluded(presses, trial)
+        true = presses[-1].true_mm[trial] - PLACES[-1]
+        middle: XY = (-float(true[0]), -float(true[1]))
+        outside: XY = (middle[0] + 17.0, middle[1])
+        right += reasoner.likely_at(middle)
+        wrong += reasoner.likely_at(outside)
+        assert not reasoner.stable_at(outside)
+        cells = found[-1].map.cell_centres_mm() - np.asarray(middle)
+        support = circle(24.0).contains(cells)
+        p = found[-1].map.probability
+        parted.append(p[support].mean() - p[~support].mean())
+    assert np.mean(parted) > 0.25
+    assert right >= 3
+    assert wrong <= 1
+
+
+def test_a_release_needs_the_accepted_risk(presses: list[Presses]) -> None:
+    bold = StackSettings(belief=SMALL, fused=FusedSettings(risk=0.9, inset_mm=0.0))
+    shy = StackSettings(
+        belief=SMALL,
+        fused=FusedSettings(risk=1e-6, inset_mm=6.0),
+        policy=PolicySettings(max_probes=3),
+    )
+    assert concluded(presses, 0, bold)[1][-1].action.kind == "release"
+    _, found = concluded(presses, 0, shy)
+    assert [c.action.kind for c in found] == ["shift", "shift", "give_up"]
+    for conclusion in found[:2]:
+        assert 0.0 < np.hypot(*conclusion.action.step_mm) <= 3.0 + 1e-9
+        assert not conclusion.stability.stable
+
+
+def test_another_height_of_the_sensor_is_made_up_for(presses: list[Presses]) -> None:
+    seen = presses[0].observation[:1].copy()
+    # A sensor 30 mm higher has a lever longer by that, so a lateral force turns more.
+    seen[..., -3] += 0.03 * seen[..., -5]
+    seen[..., -2] -= 0.03 * seen[..., -6]
+    np.testing.assert_allclose(
+        felt_at(seen[..., -6:], 150.0), presses[0].observation[:1, :, -6:], atol=1e-5
+    )
+    with pytest.raises(InputError, match="height of the wrist sensor"):
+        FusedReasoner(replace(HELD, sensor_height_mm=None), SETTINGS, (0.0, 0.0))
+
+
+def test_signals_that_are_no_numbers_end_the_trial_without_a_release() -> None:
+    observation = np.full((20, 258), np.nan, np.float32)
+    patch = ContactPatch(FACE.copy(), np.full(len(FACE), 0.5))
+    reasoner = begin(HELD, SETTINGS, (0.0, 0.0))
+    assert not reasoner.likely_at((0.0, 0.0))
+    conclusion = reasoner.conclude(Touched(observation, patch, (0.0, 0.0)))
+    assert conclusion.action.kind == "give_up"
+    assert not conclusion.stability.stable
+
+
+def test_it_goes_where_the_centre_of_mass_lies_deepest() -> None:
+    cells = np.stack(np.meshgrid(np.arange(-3.0, 4.0), np.arange(-3.0, 4.0)), axis=-1)
+    inset = 5.0 - np.hypot(cells[..., 0] - 2.0, cells[..., 1] + 1.0).reshape(-1, 1)
+    over = Inset(np.ones_like(inset), inset, np.ones_like(inset))
+    assert deepest(over, cells, (0.0, 0.0)) == (2.0, -1.0)
+    assert deepest(over, cells, (1.0, 0.0)) == (1.0, -1.0)
+
+
+def test_the_network_that_ships_says_what_it_was_made_from() -> None:
+    card = shipped_fused().card
+    assert card.bench_sha256.startswith("03b08d28746d9339")
+    assert {"pot", "barrel", "mushroom", "short", "long", "hex20", "rect12x28"} <= set(
+        card.left_out
+    )

@@ -40,7 +40,7 @@ class FusedRecipe:
 
     bench: SimulationSettings
     code: str
-    parts: int = 40
+    parts: int = 15
     steps: int = 1600
     seed: int = 0
     pieces: int = PIECES_PER_JOB

@@ -1,0 +1,48 @@
+"""Quitting is for the thread of the window: whoever else calls it hangs the program for good."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+LEAVING = re.compile(r"(?<!sys)(?<!parser)\.(quit|exit)\(")
+LIMIT_S = 60.0
+ASKED = """
+import sys, threading
+from PySide6.QtCore import QMetaObject, Qt
+from PySide6.QtWidgets import QApplication, QWidget
+
+app = QApplication([])
+window = QWidget()
+window.show()
+
+def ask():
+    QMetaObject.invokeMethod(app, "quit", Qt.ConnectionType.QueuedConnection)
+
+workers = [threading.Thread(target=ask) for _ in range(8)]
+for worker in workers:
+    worker.start()
+status = app.exec()
+for worker in workers:
+    worker.join()
+sys.exit(status)
+"""
+
+
+def test_no_part_that_runs_on_workers_ends_the_program() -> None:
+    found = {
+        str(path.relative_to(ROOT))
+        for folder in ("backend", "widgets", "app")
+        for path in (ROOT / folder).rglob("*.py")
+        if LEAVING.search(path.read_text())
+    }
+    # The window alone, on its own thread.
+    assert found == {"app/application.py"}
+
+
+def test_asked_for_through_the_queue_the_end_comes_whoever_asks() -> None:
+    done = subprocess.run([sys.executable, "-c", ASKED], timeout=LIMIT_S, check=False)
+    assert done.returncode == 0

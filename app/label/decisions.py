@@ -54,7 +54,7 @@ class Decisions:
         uuid, edit, looked = now.item.entry.uuid, now.edit, self._on.looked()
         source = edit.source if edit.changed else None
         self._on.saving.save(
-            lambda: book.accept(person, uuid, edit.label, source=source, looked=looked),
+            lambda: book.of(uuid).accept(person, uuid, edit.label, source=source, looked=looked),
             self._then_next,
         )
 
@@ -101,7 +101,7 @@ class Decisions:
 
     def _reject(self, reason: str) -> None:
         self._with_present(
-            lambda person, uuid: self._on.shown.reject(
+            lambda person, uuid: self._on.shown.of(uuid).reject(
                 person, uuid, reason, looked=self._on.looked()
             ),
             self._then_next,
@@ -127,17 +127,19 @@ class Decisions:
         elif now is not None:
             label = now.edit.base.label
             self._with_present(
-                lambda person, uuid: self._on.shown.set(person, uuid, label, verdict=said[word])
+                lambda person, uuid: self._on.shown.of(uuid).set(
+                    person, uuid, label, verdict=said[word]
+                )
             )
 
     def take_over(self) -> None:
         """Make another's draft one's own."""
-        self._with_present(self._on.shown.take_over)
+        self._with_present(lambda person, uuid: self._on.shown.of(uuid).take_over(person, uuid))
 
     def restore(self, rev_uuid: str) -> None:
         """Bring an old version back as a new one."""
         self._with_present(
-            lambda person, uuid: self._on.shown.restore_revision(person, uuid, rev_uuid)
+            lambda person, uuid: self._on.shown.of(uuid).restore_revision(person, uuid, rev_uuid)
         )
 
     def delete(self) -> None:
@@ -146,7 +148,8 @@ class Decisions:
 
     def _delete(self, reason: str) -> None:
         self._with_present(
-            lambda person, uuid: self._on.shown.delete(person, uuid, reason), self._then_next
+            lambda person, uuid: self._on.shown.of(uuid).delete(person, uuid, reason),
+            self._then_next,
         )
 
     def resolve(self) -> None:

@@ -151,7 +151,7 @@ class Editing:
             then()
 
         self._saving.save(
-            lambda: self._book.set(person, uuid, edit.label, source=edit.source), saved
+            lambda: self._book.of(uuid).set(person, uuid, edit.label, source=edit.source), saved
         )
 
     # -- how sure ---------------------------------------------------------------------------------

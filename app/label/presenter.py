@@ -129,7 +129,8 @@ class LabelPresenter:
             uuid, person = self.present.item.entry.uuid, self.sitting.person
             self.flushed(
                 lambda: self.saving.save(
-                    lambda: self.shown.skip(person, uuid), lambda _: self._go(self.walk.at + by)
+                    lambda: self.shown.of(uuid).skip(person, uuid),
+                    lambda _: self._go(self.walk.at + by),
                 )
             )
         else:
@@ -189,7 +190,7 @@ class LabelPresenter:
             self._show_saving()
             return
         uuid = ready.entry.uuid
-        self.present = Present(ready, self._begin(uuid), self.shown.history(uuid))
+        self.present = Present(ready, self._begin(uuid), self.shown.of(uuid).history(uuid))
         self._page.say(self._news or self._said_of(self.present))
         self._news = ""
         show.show_item(self._page, ready)
@@ -203,7 +204,7 @@ class LabelPresenter:
         return asks_for(now.edit.base, reviewing=s.queue == "review", opines=s.opines)
 
     def _begin(self, uuid: str) -> Edit:
-        head = self.shown.head(uuid)
+        head = self.shown.of(uuid).head(uuid)
         return Edit.blank(head) if self.sitting.opines else Edit.of(head)
 
     # -- what is shown of the label ---------------------------------------------------------------
@@ -295,7 +296,7 @@ class LabelPresenter:
     def _take(self, now: Present) -> None:
         """Take what the dataset says of an episode."""
         uuid = now.item.entry.uuid
-        now.edit, now.history = self._begin(uuid), self.shown.history(uuid)
+        now.edit, now.history = self._begin(uuid), self.shown.of(uuid).history(uuid)
         self.walk.entries[uuid] = self.entry(uuid)
 
     def entry(self, uuid: str) -> EpisodeEntry:

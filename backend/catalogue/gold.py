@@ -83,55 +83,75 @@ class _Step:
 class GoldBook:
     """The labels as the person at work sees and changes them; gold is kept apart from the rest.
 
-    Everything that is not of gold goes to ``book``. Not for several threads at once: the saves of
-    a sitting are made one after the other.
+    ``of`` is the one place where they part. Not for several threads at once: the saves of a sitting
+    are made one after the other.
     """
+
+    def __init__(self, book: LabelBook) -> None:
+        self._book, self._gold = book, _Gold(book)
+        self._times: Mapping[str, int] = {}
+
+    def begin(self, person: str, gold: Mapping[str, Shown]) -> None:
+        """Take the gold of a queue of ``person``."""
+        self._times = {uuid: at_ns for uuid, (at_ns, _) in gold.items()}
+        self._gold.begin(person, {uuid: recorded for uuid, (_, recorded) in gold.items()})
+
+    def hides(self, uuid: str) -> bool:
+        """Whether an episode is gold."""
+        return uuid in self._times
+
+    def of(self, uuid: str) -> LabelBook | _Gold:
+        """Return where the label of an episode is seen and changed: both do what a page asks for.
+
+        ``LabelBook`` says what each does. A decision about gold is kept as an opinion, of rejected
+        or deleted gold one without displacement; gold that is skipped comes again where it was.
+        """
+        return self._gold if self.hides(uuid) else self._book
+
+    def entry(self, entry: EpisodeEntry) -> EpisodeEntry:
+        """Return the entry as it is to be seen."""
+        if not self.hides(entry.uuid):
+            return entry
+        state = self._gold.head(entry.uuid).state
+        return replace(entry, state=state, conflict=False, recorded_ns=self._times[entry.uuid])
+
+    def undo(self, person: str) -> Operation | str | None:
+        """Take back the last action: its operation, or the gold episode that it was on."""
+        return self._gold.undo(person) or self._book.undo(person)
+
+    def redo(self, person: str) -> Operation | str | None:
+        """Take back the last undo."""
+        return self._gold.redo(person) or self._book.redo(person)
+
+
+class _Gold:
+    """The gold of one person: what they did to it, none of which is in the labels."""
 
     def __init__(self, book: LabelBook) -> None:
         self._book = book
         self._person = ""
-        self._times: Mapping[str, int] = {}
         self._versions: dict[str, list[Revision]] = {}
         self._authors: dict[str, tuple[str, ...]] = {}
         """Of each version: who wrote it."""
         self._done: list[_Step] = []
         self._undone: list[_Step] = []
 
-    def begin(self, person: str, gold: Mapping[str, Shown]) -> None:
-        """Take the gold of a queue of ``person``."""
+    def begin(self, person: str, gold: Mapping[str, Revision]) -> None:
         if person != self._person:
             self._versions.clear()
             self._done.clear()
             self._undone.clear()
         self._person = person
-        self._times = {uuid: at_ns for uuid, (at_ns, _) in gold.items()}
-        for uuid, (_, recorded) in gold.items():
+        for uuid, recorded in gold.items():
             if uuid not in self._versions:
                 self._versions[uuid] = [recorded]
                 self._authors[recorded.rev_uuid] = ()
 
-    def hides(self, uuid: str) -> bool:
-        """Whether an episode is gold."""
-        return uuid in self._times
-
-    # What is seen
-
     def head(self, uuid: str) -> Revision:
-        """Return the revision that seems to hold."""
-        return self._versions[uuid][-1] if self.hides(uuid) else self._book.head(uuid)
+        return self._versions[uuid][-1]
 
     def history(self, uuid: str) -> list[Revision]:
-        """Return all revisions that are to be seen, oldest first."""
-        return list(self._versions[uuid]) if self.hides(uuid) else self._book.history(uuid)
-
-    def entry(self, entry: EpisodeEntry) -> EpisodeEntry:
-        """Return the entry as it is to be seen."""
-        if not self.hides(entry.uuid):
-            return entry
-        state = self.head(entry.uuid).state
-        return replace(entry, state=state, conflict=False, recorded_ns=self._times[entry.uuid])
-
-    # What is done: as in ``LabelBook``
+        return list(self._versions[uuid])
 
     def set(
         self,
@@ -142,9 +162,6 @@ class GoldBook:
         source: Source | None = None,
         verdict: Verdict | None = None,
     ) -> Revision:
-        """Write a draft."""
-        if not self.hides(uuid):
-            return self._book.set(person, uuid, label, source=source, verdict=verdict)
         head = self.head(uuid)
         said = self._said(person, uuid, label, source, verdict, self._after("set", uuid, person))
         same = (said.label, said.source, said.verdict) == (head.label, head.source, head.verdict)
@@ -159,9 +176,6 @@ class GoldBook:
         source: Source | None = None,
         looked: Looked | None = None,
     ) -> Revision:
-        """Submit a label for review; of gold it becomes an opinion."""
-        if not self.hides(uuid):
-            return self._book.accept(person, uuid, label, source=source, looked=looked)
         state = None
         if label != self.head(uuid).label:
             state = self._after("set", uuid, person)
@@ -172,49 +186,34 @@ class GoldBook:
     def reject(
         self, person: str, uuid: str, reason: str, *, looked: Looked | None = None
     ) -> Revision:
-        """Say that it cannot be labelled; of gold that is an opinion without displacement."""
-        if not self.hides(uuid):
-            return self._book.reject(person, uuid, reason, looked=looked)
         state = self._after("reject", uuid, person)
         said = self._said(person, uuid, self.head(uuid).label, None, None, state)
         return self._add(replace(said, reason=reason), NO_LABEL, looked)
 
     def delete(self, person: str, uuid: str, reason: str) -> None:
-        """Hide an episode; gold stays, and an opinion without displacement is kept."""
-        if self.hides(uuid):
-            head = self.head(uuid)
-            self._add(self._said(person, uuid, head.label, None, None, head.state), NO_LABEL)
-        else:
-            self._book.delete(person, uuid, reason)
+        head = self.head(uuid)
+        self._add(self._said(person, uuid, head.label, None, None, head.state), NO_LABEL)
 
     def take_over(self, person: str, uuid: str) -> Revision:
-        """Make another's draft one's own."""
-        if not self.hides(uuid):
-            return self._book.take_over(person, uuid)
         head = self.head(uuid)
         if head.state not in ("draft", "rejected") or person in self._authors[head.rev_uuid]:
             raise RefusedError("nothing to take over", "This is no draft of another person.")
         return self._add(self._said(person, uuid, head.label, None, None, "draft"))
 
     def restore_revision(self, person: str, uuid: str, rev_uuid: str) -> Revision:
-        """Write an old revision again."""
-        if not self.hides(uuid):
-            return self._book.restore_revision(person, uuid, rev_uuid)
         for old in self._versions[uuid]:
             if old.rev_uuid == rev_uuid:
                 return self.set(person, uuid, old.label, source=old.source, verdict=old.verdict)
         raise InputError("The revision is of another episode.", rev_uuid, "Look at its history")
 
     def skip(self, person: str, uuid: str) -> None:
-        """Put an episode behind all others; gold comes again where it was."""
-        if not self.hides(uuid):
-            self._book.skip(person, uuid)
+        pass
 
-    def undo(self, person: str) -> Operation | str | None:
-        """Take back the last action: its operation, or the gold episode that it was on."""
+    def undo(self, person: str) -> str | None:
+        """Take back the last action on gold; None if another one came after it."""
         if not self._done or self._done[-1].after != self._book.last_step(person):
             self._undone.clear()
-            return self._book.undo(person)
+            return None
         # Nothing is forgotten before it is on disk: a refusal leaves the step to be undone again.
         step = self._done[-1]
         uuid = step.version.episode
@@ -225,10 +224,10 @@ class GoldBook:
         self._undone.append(step)
         return uuid
 
-    def redo(self, person: str) -> Operation | str | None:
-        """Take back the last undo."""
+    def redo(self, person: str) -> str | None:
+        """Take back the last undo on gold; None if another one came after it."""
         if not self._undone or self._undone[-1].after != self._book.last_step(person):
-            return self._book.redo(person)
+            return None
         step = self._undone[-1]
         self._keep(step)
         self._undone.pop()

@@ -52,17 +52,19 @@ def act(book: GoldBook, uuid: str, number: int) -> None:
     name = chosen.choice(ACTIONS)
     label = Label(chosen.randrange(-3, 3) * 100, 0, 0, 100)
     if name == "set":
-        book.set("ann", uuid, label)
+        book.of(uuid).set("ann", uuid, label)
     elif name == "accept":
-        book.accept("ann", uuid, chosen.choice([book.head(uuid).label, label]))
+        book.of(uuid).accept("ann", uuid, chosen.choice([book.of(uuid).head(uuid).label, label]))
     elif name == "reject":
-        book.reject("ann", uuid, "tilt")
+        book.of(uuid).reject("ann", uuid, "tilt")
     elif name == "take over":
-        book.take_over("ann", uuid)
+        book.of(uuid).take_over("ann", uuid)
     elif name == "restore":
-        book.restore_revision("ann", uuid, chosen.choice(book.history(uuid)).rev_uuid)
+        book.of(uuid).restore_revision(
+            "ann", uuid, chosen.choice(book.of(uuid).history(uuid)).rev_uuid
+        )
     elif name == "verdict":
-        book.set("ann", uuid, book.head(uuid).label, verdict="unsure")
+        book.of(uuid).set("ann", uuid, book.of(uuid).head(uuid).label, verdict="unsure")
     else:
         (book.undo if name == "undo" else book.redo)("ann")
 
@@ -77,7 +79,7 @@ def told(book: GoldBook, dataset: Dataset, uuid: str, numbers: range) -> list[ob
             seen.append((refusal.reason, refusal.detail))
         seen.append([
             (r.label, r.state, r.source, r.verdict, r.reason, r.person)
-            for r in [book.head(uuid), *book.history(uuid)]
+            for r in [book.of(uuid).head(uuid), *book.of(uuid).history(uuid)]
         ])  # fmt: skip
         seen.append(book.entry(dataset.entry(uuid)).state)
     return seen
@@ -111,10 +113,10 @@ def test_what_is_decided_is_an_opinion_that_undo_withdraws(
     plain = record(4000, 0).uuid
     book = GoldBook(dataset.labels)
     book.begin("ann", {u: (7, dataset.labels.history(u)[0]) for u in (near, far, none)})
-    book.accept("ann", near, Label(1600, 0, 0, 50), looked=Looked(3000))
-    book.accept("ann", plain, Label(4000, 0, 0, 50))
-    book.accept("ann", far, Label(2800, 0, 0, 50), looked=Looked(5000))
-    book.reject("ann", none, "tilt")
+    book.of(near).accept("ann", near, Label(1600, 0, 0, 50), looked=Looked(3000))
+    book.of(plain).accept("ann", plain, Label(4000, 0, 0, 50))
+    book.of(far).accept("ann", far, Label(2800, 0, 0, 50), looked=Looked(5000))
+    book.of(none).reject("ann", none, "tilt")
     found = against_gold(dataset.database, dataset.geometry, "ann")
     assert found.episodes == 3
     assert found.bias_x_mm.mean == pytest.approx((0.1 + 0.3) / 2)
@@ -140,19 +142,19 @@ def test_a_disk_that_refuses_leaves_undo_and_redo_of_gold_to_be_done_again(
     uuid = gold_of(record, dataset)
     book = GoldBook(dataset.labels)
     book.begin("ann", {uuid: (7, dataset.labels.history(uuid)[0])})
-    book.accept("ann", uuid, Label(1600, 0, 0, 50))
+    book.of(uuid).accept("ann", uuid, Label(1600, 0, 0, 50))
     keep, full = dataset.labels.opinion, Fault("DISK-FULL", "Full.", "Not saved.", "Room.")
 
     def refuse(*_args: object, **_named: object) -> None:
         raise FaultError(full)
 
     for again, state in ((book.undo, "draft"), (book.redo, "submitted")):
-        before = book.head(uuid)
+        before = book.of(uuid).head(uuid)
         monkeypatch.setattr(dataset.labels, "opinion", refuse)
         with pytest.raises(FaultError):
             again("ann")
-        assert book.head(uuid) == before
+        assert book.of(uuid).head(uuid) == before
         monkeypatch.setattr(dataset.labels, "opinion", keep)
         assert again("ann") == uuid
-        assert book.head(uuid).state == state
+        assert book.of(uuid).head(uuid).state == state
     assert against_gold(dataset.database, dataset.geometry, "ann").episodes == 1

@@ -42,10 +42,13 @@ class Both:
         return [jobs[k] for k in range(longest) for jobs in lists if k < len(jobs)]
 
     def answer(self, store: JobStore) -> Json:
-        """Return what is finished in each world, by cell and pooled over bottoms."""
+        """Return what is finished in both worlds, by cell and pooled over bottoms."""
         found: dict[tuple[str, str, str], list[Json]] = {}
-        for (world, bottom, strategy), jobs in self._cells():
-            done = [store.result(spec.id) for spec in jobs if store.has(spec.id)]
+        cells = dict(self._cells())
+        for (world, bottom, strategy), jobs in cells.items():
+            same = zip(*(cells[other, bottom, strategy] for other in WORLDS), strict=True)
+            both = [all(store.has(spec.id) for spec in specs) for specs in same]
+            done = [store.result(spec.id) for spec, ok in zip(jobs, both, strict=True) if ok]
             found.setdefault((world, bottom, strategy), []).extend(done)
             found.setdefault((world, "pooled", strategy), []).extend(done)
         return {

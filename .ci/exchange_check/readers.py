@@ -4,16 +4,44 @@ Prints one line per reader and leaves with 1 if one of them failed.
 """
 
 import importlib.metadata
+import importlib.util
 import json
 import os
+import shutil
 import sys
+import tempfile
 import traceback
 from pathlib import Path
 
 import numpy as np
 
 os.environ["HF_HUB_OFFLINE"] = "1"
+FFMPEG = "TOUCHDOWN_CHECK_FFMPEG"
+"""Names the folder of the decoder's libraries once they are in sight."""
 OBSERVED = ("observation.markers", "observation.ft")
+
+
+def with_ffmpeg() -> None:
+    """Begin anew with the FFmpeg libraries of the package ``av`` in sight; then do nothing.
+
+    LeRobot's decoder looks for them by their plain names, av's carry a hash in theirs; and where a
+    process looks for libraries is settled when it begins.
+    """
+    found = importlib.util.find_spec("av")
+    if FFMPEG in os.environ or found is None or found.origin is None:
+        return
+    folder = Path(tempfile.mkdtemp(prefix="ffmpeg-"))
+    libraries = Path(found.origin).parent.parent / "av.libs"
+    for pattern in ("libav*.so.*", "libsw*.so.*"):
+        for library in libraries.glob(pattern):
+            name, _, version = library.name.partition(".so.")
+            plain = f"{name.partition('-')[0]}.so.{version.partition('.')[0]}"
+            (folder / plain).symlink_to(library)
+    # They ask for each other by the names with hashes.
+    places = (str(folder), str(libraries), os.environ.get("LD_LIBRARY_PATH"))
+    os.environ["LD_LIBRARY_PATH"] = ":".join(filter(None, places))
+    os.environ[FFMPEG] = str(folder)
+    os.execv(sys.executable, [sys.executable, *sys.argv])  # noqa: S606 - this very program
 
 
 class Truth:
@@ -186,4 +214,9 @@ def main(exports: Path, truth_path: Path) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1]), Path(sys.argv[2])))
+    with_ffmpeg()
+    try:
+        ended = main(Path(sys.argv[1]), Path(sys.argv[2]))
+    finally:
+        shutil.rmtree(os.environ.get(FFMPEG, ""), ignore_errors=True)
+    sys.exit(ended)

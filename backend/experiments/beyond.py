@@ -42,6 +42,7 @@ from backend.objects.surface import face_points
 from backend.objects.tower import Tower, judge
 from backend.placement.below import Below
 from backend.placement.fused import network_of
+from backend.placement.outline_family import inset_mm
 from backend.placement.strategies import begin
 from backend.placement.strategy import XY, Reasoner
 from backend.sensing.episode import EpisodeLimits
@@ -61,6 +62,7 @@ STRATEGIES: tuple[str, ...] = (*get_args(StrategyName), *CEILINGS)
 CHUNK = 2
 ENTRY = 992
 """Draws the errors of entries, apart from those of the bench."""
+EXACT_MM, GRID_MM = 1e-6, 0.25
 STEP_MM, SURE_MM = 3.0, 0.2
 """For the least number of probes: longest step, and how far inside the stable region to be."""
 Json = dict[str, Any]
@@ -222,9 +224,12 @@ def beyond(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
 def least_probes(scene: Scene) -> int:
     """Return how many probes one would need who knew everything: at the start, then every 3 mm.
 
-    The way is that to the centre of the bottom: nearest for round ones, near it for the others.
+    The way is that to the centre of the bottom: nearest for round ones, near it for the others. On
+    a tower it is that to the nearest place of a grid at which every interface holds.
     """
     start = np.asarray(scene.start_mm)
+    if len(scene.bottoms.bodies) > 1:
+        return 1 + ceil(_way_on_tower_mm(scene) / STEP_MM)
     length = float(np.hypot(*start))
     towards = start / max(length, 1e-9)
     for way in np.arange(0.0, length, 0.05):
@@ -233,6 +238,24 @@ def least_probes(scene: Scene) -> int:
         if judge(Tower((*scene.bottoms.bodies, body))).margin_mm >= SURE_MM:
             return 1 + ceil(way / STEP_MM)
     return 1 + ceil(length / STEP_MM)
+
+
+def _way_on_tower_mm(scene: Scene) -> float:
+    """Return the distance from the start to where the whole tower holds; 0 if there is none."""
+    bodies = scene.bottoms.bodies
+    steps = np.diff([body.at_mm for body in bodies], axis=0)
+    offset_mm = tuple((float(x), float(y)) for x, y in steps)
+    below = Below(bodies, offset_mm, EXACT_MM, scene.piece.mass_g)
+    touched = bodies[-1].upper
+    assert touched is not None
+    reach = max(touched.half_extents_mm)
+    line = np.arange(-reach, reach + GRID_MM, GRID_MM)
+    com = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    least = np.minimum(inset_mm(touched, com), below.insets_mm(com).min(axis=0))
+    places = com[least >= SURE_MM] - np.asarray(scene.piece.com_xy_mm)
+    if not len(places):
+        return 0.0
+    return float(np.hypot(*(places - np.asarray(scene.start_mm)).T).min())
 
 
 def _told(

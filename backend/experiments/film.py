@@ -9,6 +9,9 @@ from backend.core.flow import FloatArray
 from backend.experiments.closed_loop import TrialEnd
 from backend.experiments.figures import belief_svg
 
+FILM = "film.html"
+"""File of a job with courses of its trials."""
+
 
 def film_strip(end: TrialEnd, outline_mm: FloatArray) -> str:
     """Return the strip as HTML; ``outline_mm`` (k, 2) is the true support, in true places.

@@ -23,7 +23,7 @@ from backend.experiments.beyond import beyond
 from backend.experiments.closed_loop import pick_and_place_in_lockstep, stack_in_lockstep
 from backend.experiments.collection import jobs_of, metadata_of, rows_of
 from backend.experiments.distribution import find_twins, held, largest_marker_px
-from backend.experiments.film import film_strip
+from backend.experiments.film import FILM, film_strip
 from backend.experiments.fused import FUSED_KINDS
 from backend.experiments.given_models import WEIGHTS, load_model
 from backend.experiments.models import batch_model
@@ -47,7 +47,6 @@ from backend.simulation.episodes import Plan
 from backend.simulation.episodes import simulate as simulated
 from backend.simulation.scene import Scene
 
-FILM = "film.html"
 SLIPPED_MM = 0.02
 """A pad that moved by more than this in one press has slipped."""
 GROUPS_AT_ONCE = 50

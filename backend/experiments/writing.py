@@ -11,7 +11,7 @@ from typing import Any
 from backend.core.files import write_atomically
 from backend.experiments.beyond import FORMAT as BEYOND_FORMAT
 from backend.experiments.beyond_page import beyond_page, beyond_section
-from backend.experiments.kinds import FILM
+from backend.experiments.film import FILM
 from backend.experiments.recipes import BOTTOMS, TWO, Recipe
 from backend.experiments.tables import tables
 from backend.experiments.tables_page import tables_page

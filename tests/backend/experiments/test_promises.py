@@ -11,16 +11,20 @@ import numpy as np
 import pytest
 
 from backend.config.simulation import SimulationSettings, load_simulation
-from backend.experiments.beyond import FORMAT, Beyond, beyond
+from backend.experiments.beyond import FORMAT, Beyond, beyond, least_probes
 from backend.experiments.beyond_page import beyond_page
 from backend.experiments.compared import Compared, sheets
 from backend.experiments.gap import gaps
 from backend.experiments.given_models import adopt_models, models_that_ship
 from backend.experiments.promises import STEPS, Promises, chart_of, promises, scores
 from backend.experiments.recipes import QUICK, TWO, Recipe
+from backend.experiments.scenes import Case, start_scene
 from backend.experiments.writing import compared_beside, write_beyond
 from backend.jobs.running import run_job
 from backend.jobs.store import JobStore
+from backend.objects.catalogue import load_catalogue
+from backend.simulation.scene import Scene
+from backend.simulation.scoring import margin_mm
 
 Json = dict[str, Any]
 NS = ("1", "2", "3", "5")
@@ -108,6 +112,29 @@ def test_towers_have_the_seeds_of_table_3(bench_v1: SimulationSettings) -> None:
     # The ceiling knows nothing of towers.
     assert found.keys() == {("short+long", "paper"), ("long", "paper"), ("long", "ceiling")}
     assert found["short+long", "paper"] == table.seed
+
+
+def test_the_least_probes_on_a_tower_are_those_to_where_all_of_it_holds(
+    bench_v1: SimulationSettings,
+) -> None:
+    case = Case.of(load_catalogue(), "pot", TWO, bench_v1)
+    scenes = [scene for seed in range(6) if (scene := start_scene(case, seed))]
+    assert len(scenes) > 3
+    around = np.arange(0.0, 2.0 * np.pi, np.pi / 12)
+    for scene in scenes:
+        longest = 3.0 * (least_probes(scene) - 1)
+        # The exact judge, asked all round: within the steps there is a place, one step less none.
+        ways = np.arange(longest, longest - 3.0, -0.5)
+        assert any(margin_mm(scene, off(scene, w, a), 0.0) >= 0.2 for a in around for w in ways)
+        if longest > 3.3:
+            near = [margin_mm(scene, off(scene, longest - 3.3, a), 0.0) for a in around]
+            assert max(near) < 0.2
+
+
+def off(scene: Scene, way_mm: float, angle: float) -> tuple[float, float]:
+    """A place this far from the start of the trial."""
+    x, y = scene.start_mm
+    return x + way_mm * float(np.cos(angle)), y + way_mm * float(np.sin(angle))
 
 
 def test_a_tower_and_groups_from_end_to_end(bench_v1: SimulationSettings, store: JobStore) -> None:

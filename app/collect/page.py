@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from PySide6.QtCore import Qt
@@ -38,14 +38,22 @@ class CollectIntents:
 
 
 class CollectPage(QWidget):
-    """Target on the left, live views and maps in the middle, probes on the right."""
+    """Target on the left, live views and maps in the middle, probes on the right.
+
+    It is whole only once ``build`` has come to its end.
+    """
 
     def __init__(self, theme: Theme, intents: CollectIntents) -> None:
         super().__init__()
         self.setObjectName("frame")
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self._theme = theme
+        self._intents = intents
         self.target = TargetPanel(theme, intents.target)
+
+    def build(self) -> Iterator[None]:
+        """Make the rest of what stands on the page, in pieces of some ms."""
+        theme, intents = self._theme, self._intents
         titles = {"left": "Left", "right": "Right"}
         self.tactile: dict[Finger, TactileView] = {f: TactileView(theme, f) for f in FINGERS}
         self.captions = {f: Captioned(titles[f], self.tactile[f]) for f in FINGERS}
@@ -59,6 +67,7 @@ class CollectPage(QWidget):
         self.signal.setProperty("role", "compact")
         self.signal.setAccessibleName("Signal that colours the dots")
         self.signal.setToolTip("Colour the dots by this signal at the end of the press")
+        yield
         self.probe = LastProbePanel(intents.decide)
         self.table = EpisodeTable(theme, intents.choose_row)
         self.deleted = QCheckBox("Deleted too")

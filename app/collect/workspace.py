@@ -58,6 +58,8 @@ class CollectWorkspace(Workspace):
         """Make both halves, and the thread that reads for them."""
         self.page = self.pieces = Halves()
         self.collect_page = CollectPage(self._desk.theme, self._intents())
+        yield
+        yield from self.collect_page.build()
         self.page.add(COLLECT, TITLES[COLLECT], self.collect_page)
         yield
         self.label.build_in(self.page)

@@ -22,7 +22,7 @@ class Halves(QWidget):
         self.setObjectName("frame")
         self._stack, self._buttons = QStackedWidget(), QButtonGroup(self)
         self._names: list[str] = []
-        self._out: list[QWidget] = []
+        self._halves: list[QWidget] = []
         self._entered: Callable[[str], None] = _nothing
         self._bar = QWidget()
         self._row = QHBoxLayout(self._bar)
@@ -49,23 +49,22 @@ class Halves(QWidget):
         self._buttons.addButton(button, len(self._names))
         self._row.insertWidget(len(self._names), button)
         self._names.append(name)
+        self._halves.append(page)
         self._stack.addWidget(page)
         self._bar.setVisible(len(self._names) > 1)
         self._buttons.button(self._stack.currentIndex()).setChecked(True)
 
     def take_out(self) -> None:
         """Take the halves out, so that the page is put into a window without them."""
-        self._out = [self._stack.widget(at) for at in range(self._stack.count())]
-        for half in self._out:
+        for half in self._halves:
             self._stack.removeWidget(half)
             half.setParent(None)
 
     def put_back(self) -> Iterator[None]:
         """Put the halves back, one at a time: each takes the window's style sheet then."""
-        for half in self._out:
+        for half in self._halves:
             self._stack.addWidget(half)
             yield
-        self._out.clear()
 
     @property
     def front(self) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from PySide6.QtGui import QFontMetrics
@@ -44,26 +44,28 @@ class OperateIntents:
 
 
 class OperatePage(LivePage):
-    """Live views on the left, belief and probe in the middle, the hand on the right."""
+    """Live views on the left, belief and probe in the middle, the hand on the right.
 
-    def __init__(
-        self,
-        theme: Theme,
-        intents: OperateIntents,
-        paces: Sequence[Pace],
-        phases: Sequence[str],
-    ) -> None:
+    It is whole only once ``build`` has come to its end.
+    """
+
+    def __init__(self, theme: Theme, intents: OperateIntents) -> None:
         super().__init__(theme)
         self._intents = intents
+
+    def build(self, paces: Sequence[Pace], phases: Sequence[str]) -> Iterator[None]:
+        """Make what stands on the page, in pieces of some ms."""
+        theme, intents = self._theme, self._intents
+        self.jog = JogPad(paces, intents.jog)
+        self.gripper = GripperPanel(intents.grip, intents.open)
+        self.probe = ProbePanel(theme, phases, intents.probe, intents.cancel)
+        self.scene = ScenePanel(intents.set_scene)
+        yield
         titles = {"left": "Left", "right": "Right"}
         self.captions = {f: Captioned(titles[f], self.tactile[f]) for f in FINGERS}
         self.belief_panel = BeliefPanel(theme, "Belief of the last run")
         self.belief, self.legend = self.belief_panel.view, self.belief_panel.legend
         self.maps = self.belief_panel.maps
-        self.jog = JogPad(paces, intents.jog)
-        self.gripper = GripperPanel(intents.grip, intents.open)
-        self.probe = ProbePanel(theme, phases, intents.probe, intents.cancel)
-        self.scene = ScenePanel(intents.set_scene)
         self.looks = chooser([text for _, text in LOOKS], "What the tactile views show")
         self.baseline = tool("Baseline", "Take the tactile reference anew, in air (B)")
         self.span = chooser([f"{span:.0f} s" for span in SPANS_S], "Length of the traces")

@@ -47,7 +47,9 @@ class OperateWorkspace(Workspace):
             set_scene=self._set_scene,
         )  # fmt: skip
         yield
-        self.page = OperatePage(self._desk.theme, intents, PACES, PHASES)
+        self.page = OperatePage(self._desk.theme, intents)
+        yield
+        yield from self.page.build(PACES, PHASES)
         self.columns = self.pieces = self.page.columns
         self.keys = JogKeys(self.page, self.page.jog)
 

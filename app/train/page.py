@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from PySide6.QtGui import QFontMetrics
@@ -30,13 +30,18 @@ class TrainIntents:
 
 
 class TrainPage(QWidget):
-    """The views of the trainings on one dataset."""
+    """The views of the trainings on one dataset; whole once ``build`` has come to its end."""
 
     def __init__(self, theme: Theme, intents: TrainIntents) -> None:
         super().__init__()
         self.setObjectName("frame")
         self._theme = theme
         self.form = TrainingFormPanel(theme, intents.form)
+        self._intents = intents
+
+    def build(self) -> Iterator[None]:
+        """Make the rest of what stands on the page, in pieces of some ms."""
+        theme, intents = self._theme, self._intents
         self.split = FigureTable(theme, "Episodes per bottom", ("bottom", "train", "held out"))
         self.leaks = Notes("What the split leaks")
         self.loss = CurvePlot(theme, "Loss per epoch (nats a point)")
@@ -44,6 +49,7 @@ class TrainPage(QWidget):
         self.accuracy = CurvePlot(theme, "Points right per epoch", 1.0)
         self.reliability = ReliabilityPlot(theme)
         self.samples = SampleStrip(theme)
+        yield
         self.runs = RunTable(theme, intents.choose)
         self.differences = FigureTable(theme, "What differs", ("setting", "A"))
         self.figures = FigureTable(theme, "Figures per bottom", ("IoU / points right, %", "A"))
@@ -57,6 +63,7 @@ class TrainPage(QWidget):
         self.roll_back.setToolTip("Put the model before in use again (Ctrl+Shift+P)")
         self.promote.clicked.connect(intents.promote)
         self.roll_back.clicked.connect(intents.roll_back)
+        yield
         self._arrange()
 
     def heightForWidth(self, _width: int) -> int:

@@ -78,6 +78,8 @@ class TrainWorkspace(Workspace):
                 self._order(TrainPresenter.roll_back),
             ),
         )
+        yield
+        yield from self.page.build()
         self.columns = self.pieces = self.page.columns
         self._show_folders(str(dataset_folder()))
         self.page.form.show_form(TrainingForm())

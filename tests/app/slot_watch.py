@@ -10,6 +10,9 @@ import time
 
 from PySide6.QtCore import QAbstractEventDispatcher, QObject
 
+SLOT_S = 0.050
+"""No turn of the window's loop may take longer."""
+
 
 class SlotWatch(QObject):
     """Measures while it is on; ``visits`` has the longest turn of every visit to every page, s."""

@@ -10,9 +10,8 @@ from app.error_hooks import ErrorBox
 from backend.assembly import simulated_session
 from backend.runs.requests import ProbeRequest, RunState, SceneChoice
 from backend.session import Keep
-from tests.app.slot_watch import SlotWatch
+from tests.app.slot_watch import SLOT_S, SlotWatch
 
-SLOT_S = 0.050
 FASTER = 8.0
 """The bench runs this much faster than real time, or as fast as it can."""
 VISITS = 3

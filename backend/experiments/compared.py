@@ -97,7 +97,7 @@ def sheets(answer: Mapping[str, Any]) -> list[Sheet]:
 
 
 def _loop(cell: Json) -> tuple[str, ...]:
-    outcomes = ", ".join(f"{word} {n}" for word, n in cell["outcomes"].items())
+    outcomes = ", ".join(f"{w.replace('_', ' ')} {n}" for w, n in cell["outcomes"].items())
     left = cell.get("left_out", 0)
     return (
         _name(cell),

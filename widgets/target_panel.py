@@ -21,7 +21,7 @@ from PySide6.QtWidgets import (
 from widgets.icons import fit_icon, icon
 from widgets.name_field import NameField
 from widgets.number_inset import inset
-from widgets.panel import Panel, label, rule
+from widgets.panel import Panel, label
 from widgets.theme import Theme
 
 PATTERNS = (
@@ -173,9 +173,12 @@ class TargetPanel(Panel):
             widget.setToolTip(tip)
 
     def _arrange(self) -> None:
+        # A campaign in contact shows all of it: nothing may be squeezed at the least size.
+        self.column.setSpacing(4)
+        self.lift.setProperty("role", "header")
         form = QGridLayout()
         form.setHorizontalSpacing(8)
-        form.setVerticalSpacing(4)
+        form.setVerticalSpacing(3)
         form.setColumnStretch(1, 1)
         form.setColumnStretch(3, 1)
         for row, (text, field) in enumerate(
@@ -211,7 +214,7 @@ class TargetPanel(Panel):
         self.column.insertLayout(1, form)
         self.column.addLayout(origins)
         for widget in (
-            self.residual, self.check_origin, self.hand_over, self.ask, rule(), self.start,
+            self.residual, self.check_origin, self.hand_over, self.ask, self.start,
         ):  # fmt: skip
             self.column.addWidget(widget)
         waiting = QHBoxLayout()

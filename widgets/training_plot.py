@@ -72,7 +72,7 @@ class _Plot(QWidget):
             painter.setPen(t.colour("muted"))
             box = QRectF(0, y - height / 2, rect.left() - 5, height)
             painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), tick_text(value, step))
-        count = max(2, int(rect.width() / (2.4 * height)))
+        count = max(2, int(rect.width() / (1.8 * height)))
         step = nice_step(area.x1 - area.x0, count)
         step = max(step, 1.0) if whole else step
         for value in ticks(area.x0, area.x1, count):

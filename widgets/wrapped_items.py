@@ -23,6 +23,8 @@ class WrappedItems(QStyledItemDelegate):
         view.setResizeMode(QListWidget.ResizeMode.Adjust)
         view.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         view.setItemDelegate(self)
+        # By whole rows, of which some are higher, the end of a short list left its room empty.
+        view.setVerticalScrollMode(QListWidget.ScrollMode.ScrollPerPixel)
 
     def sizeHint(
         self, option: QStyleOptionViewItem, index: QModelIndex | QPersistentModelIndex

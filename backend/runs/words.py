@@ -26,7 +26,8 @@ def support(stability: Stability) -> str:
     if stability.support is SupportKind.AREA:
         verdict = "stable" if stability.stable else "not stable"
         digits = 1 if abs(stability.margin_mm) >= 0.1 else 2
-        return f"Verdict: {verdict}, margin {stability.margin_mm:+.{digits}f} mm."
+        margin = f"{stability.margin_mm:+.{digits}f}".replace("-", "\N{MINUS SIGN}")
+        return f"Verdict: {verdict}, margin {margin} mm."
     return f"Verdict: not stable, {stability.support.value}."
 
 

@@ -2,12 +2,13 @@
 
 import pytest
 from PySide6.QtCore import QPoint
-from PySide6.QtWidgets import QTableView
+from PySide6.QtWidgets import QApplication, QTableView
 
 from backend.core.flow import Outcome
 from tests.app.conftest import settle
 from widgets.elided import ElidedLabel
 from widgets.panel import Panel
+from widgets.target_panel import TargetButtons
 from widgets.training_tables import LEAST_ROWS, FigureTable
 
 PAGES = ("operate", "collect", "train", "stack", "review")
@@ -73,3 +74,17 @@ def test_the_header_of_the_trials_has_room_for_its_count(least, bench):
     assert detail.shown() == detail.text()
     for line in seen(least, ElidedLabel):
         assert line.shown() == line.text(), line.text()
+
+
+def test_the_form_of_a_campaign_has_room_for_all_it_may_say(least):
+    least.go("collect")
+    settle(least)
+    target = least.workspaces["collect"].collect_page.target
+    target.show_buttons(
+        TargetButtons(start=False, pause=True, end=True, paused=False,
+                      why_not="In contact: lift first", in_contact=True)
+    )  # fmt: skip
+    target.show_progress(12, 20, "8 left, about 4 min at 30.0 s each")
+    QApplication.processEvents()
+    assert all(one.isVisible() for one in (target.lift, target.bar, target.eta))
+    assert target.layout().minimumSize().height() <= target.height()

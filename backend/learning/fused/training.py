@@ -99,10 +99,10 @@ def sequences(arrays: Arrays, modes: NDArray[np.float32], *, mirror: bool) -> Se
             )
         )
     joined = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    probes, true, offset, com, normal, reach = (
-        torch.from_numpy(values.astype(np.float32)) for values in joined[:-1]
-    )
-    return Sequences(probes, true, offset, com, normal, reach, torch.from_numpy(joined[-1]))
+    tensors = [torch.from_numpy(values.astype(np.float32)) for values in joined[:-1]]
+    probes, true, placed, com, outward, reaches = tensors
+    there = torch.from_numpy(joined[-1])
+    return Sequences(probes, true, placed, com, outward, reaches, there)
 
 
 def half_planes(polygon_mm: FloatArray) -> tuple[FloatArray, FloatArray]:

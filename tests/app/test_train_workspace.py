@@ -234,8 +234,10 @@ def test_operate_shows_every_frame_while_a_training_runs(desk):
     desk.until(lambda: len(desk.presenter._epochs_s) >= 1)
     child = desk.presenter.thread._training._child._child
     if os.name == "posix":
-        behind = os.getpriority(os.PRIO_PROCESS, child.pid) - os.getpriority(os.PRIO_PROCESS, 0)
-        assert behind == 10, "a training stands behind everything else"
+        behind = os.getpriority(os.PRIO_PROCESS, child.pid)
+        # The suite may itself have stepped back further.
+        least = max(10, os.getpriority(os.PRIO_PROCESS, 0))
+        assert behind == least, "a training stands behind everything else"
     main.go("operate")
     views = main.workspaces["operate"].page.tactile.values()
     main.pump._now_s = time.thread_time

@@ -76,6 +76,8 @@ class R3Settings(Settings):
 class ForceControlSettings(Settings):
     """The controller's force control."""
 
+    program: ProgramName = "TDPROBE"
+    """Program of the controller that presses, with ``stiffness_mode`` controller."""
     limited_stiffness_mode: Annotated[int, Field(ge=0, le=9)] = 3
     off_on_reset: bool = True
     damping: NonNegative = 0.0
@@ -114,6 +116,8 @@ class MelfaSettings(Settings):
     flags: tuple[Count, Count, Count] = (4, 2, 1)
     """Bits of Right, Above, NonFlip in the first structure flag."""
     mxt_in_fsc: bool = False
+    stiffness_mode: Literal["software", "controller"] = "software"
+    """Who makes the arm comply in a press: this computer over the stream, or the controller."""
     servo_delay_s: NonNegative = 2.0
     servo_timeout_s: Positive = 10.0
     override_start: Annotated[int, Field(ge=1, le=100)] = 10

@@ -48,6 +48,7 @@ class JoinedScene:
         start = self.frame.joints(self.world.drive.command_mm)
         self.melfa = EmulatedMelfa(settings, start_rad=start)
         self.world.drive.run(Carried(self))
+        self.melfa.controller.force_n = lambda: self.frame.in_base(self._felt[1][-1, :3])
         self._zero_s = 0.0
         self._felt: tuple[float, FloatArray] = (0.0, np.zeros((1, 6)))
         self._rng = np.random.default_rng(scene.seed)
@@ -143,6 +144,10 @@ class BenchFrame:
         frame = frame_of(joints_rad)
         at_mm = frame[:3, 3] + self._tool_mm * frame[:3, 2]
         return np.asarray(self._turn.T @ (at_mm - self._origin_mm))
+
+    def in_base(self, vector: FloatArray) -> FloatArray:
+        """Return a vector (3,) of the bench in axes of the base."""
+        return np.asarray(self._turn @ vector)
 
     def turn(self, joints_rad: FloatArray) -> FloatArray:
         """Return (3, 3) by how much the hand is turned; as good as unturned is unturned."""

@@ -46,6 +46,25 @@ def solve(frame: FloatArray, near_rad: FloatArray) -> FloatArray | None:
     return None
 
 
+class Nearby:
+    """Joints for places near the first one: its slopes serve for all of them."""
+
+    def __init__(self, joints_rad: FloatArray) -> None:
+        self._joints = joints_rad.copy()
+        self._pull = np.linalg.pinv(_slopes(joints_rad))
+
+    def solve(self, frame: FloatArray) -> FloatArray | None:
+        """Return joints (6,) that reach ``frame`` from the last, None if none was found."""
+        joints = self._joints
+        for _ in range(_SOLVE_STEPS):
+            error = _apart(frame_of(joints), frame)
+            if np.abs(error).max() < 1e-6:
+                self._joints = joints
+                return joints if (np.abs(joints) <= LIMITS_RAD).all() else None
+            joints = joints + self._pull @ error
+        return None
+
+
 def _slopes(joints_rad: FloatArray, step_rad: float = 1e-6) -> FloatArray:
     here = frame_of(joints_rad)
     columns = [

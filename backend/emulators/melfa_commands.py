@@ -139,6 +139,8 @@ class EmulatedCommands:
             "CALIB": lambda _: "N3F3F",
             "TOOLRD": lambda _: "0",
             "PAR": self._parameter,
+            "HOT": self._write,
+            "VAL": self._value,
         }
 
     def _right(self, request: Request) -> str:
@@ -165,8 +167,7 @@ class EmulatedCommands:
         self._controller.require(self, still=True)
         if self._controller.held:
             raise RefusedCommandError(5120)
-        if request.argument != self._controller.settings.mxt.program:
-            raise RefusedCommandError(4140)
+        self._controller.require_program(request.argument)
         self._controller.loaded = request.argument
         return ""
 
@@ -218,6 +219,22 @@ class EmulatedCommands:
         if request.argument != "MXTTOUT":
             raise RefusedCommandError(self._controller.settings.r3.error_unknown)
         return f"MXTTOUT;{self._controller.settings.mxt.mxttout};1"
+
+    def _write(self, request: Request) -> str:
+        program, assignment = request.arguments
+        name, value = assignment.split("=")
+        self._controller.require_program(program)
+        try:
+            self._controller.variables[name] = float(value)
+        except ValueError:
+            raise RefusedCommandError(4340) from None
+        return ""
+
+    def _value(self, request: Request) -> str:
+        value = self._controller.variables.get(request.argument)
+        if value is None:
+            raise RefusedCommandError(4340)
+        return f"{request.argument}={value:+g}"
 
     # -- places and moves -------------------------------------------------------------------------
 

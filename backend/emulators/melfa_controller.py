@@ -14,6 +14,7 @@ import numpy as np
 from backend.config.hardware import MelfaSettings
 from backend.core.flow import FloatArray
 from backend.emulators.melfa_arm import LIMITS_RAD, SPEEDS_RAD_S, Joints, frame_of, solve
+from backend.emulators.melfa_probe import WRITTEN, EmulatedProbe, Step
 from backend.wire.melfa_joints import CYCLE_S
 from backend.wire.melfa_r3_answers import EMERGENCY_ERRORS, Run, Stop
 
@@ -26,7 +27,7 @@ JOG_MM_S = 250.0
 AXIS_TURN_RAD_S = 0.5
 READY_RAD = np.radians([0.0, 20.0, 100.0, 0.0, 60.0, 0.0])
 """Where it stands when it is switched on: the hand points down."""
-STREAM, IDLE = "stream", ""
+STREAM, PROBE, IDLE = "stream", "probe", ""
 JOINT, STRAIGHT, TOOL = 0, 1, 2
 
 
@@ -81,6 +82,11 @@ class EmulatedController:
         self.held = self.stop_on = self.emergency = False
         self._jog: Jogging | None = None
         self._moving: Moving | None = None
+        self._probe: EmulatedProbe | None = None
+        self.variables: dict[str, float] = {}
+        """Of the force program."""
+        self.force_n: Callable[[], FloatArray] = lambda: np.zeros(3)
+        """Force on the tool (3,) in axes of the base, as the controller's own sensor has it."""
         self.on_cycle: Callable[[], None] = _nothing
         """Called once per cycle: the stream counts its silence there."""
         if streaming:
@@ -125,6 +131,8 @@ class EmulatedController:
             self._follow_jog(self._jog)
         if self._moving is not None:
             self._follow_move(self._moving)
+        if self._probe is not None:
+            self._follow_probe(self._probe)
         self.joints.cycle()
 
     # -- orders -----------------------------------------------------------------------------------
@@ -151,17 +159,30 @@ class EmulatedController:
             self._servo_on_s = self.now_s + self.settings.servo_delay_s
 
     def run_program(self, name: str) -> None:
-        """Run the program ``name``; only the one that opens the stream is in the controller."""
+        """Run the program ``name``: the one that opens the stream, or the one that presses."""
         name = name or self.loaded
-        if name != self.settings.mxt.program or name in self.missing_programs:
-            raise RefusedCommandError(4140)
+        self.require_program(name)
         if self.held:
             raise RefusedCommandError(5120)
-        self.loaded, self.program = name, STREAM
+        self.loaded = name
+        if name == self.settings.mxt.program:
+            self.program = STREAM
+            return
+        if not set(WRITTEN) <= self.variables.keys():
+            raise RefusedCommandError(4340)
+        self.variables["MDO"] = 0.0
+        self._probe = EmulatedProbe(self.joints.command_rad, self.variables, self.force_n)
+        self.program = PROBE
+
+    def require_program(self, name: str) -> None:
+        """Raise the refusal of a program that is not in the controller."""
+        here = (self.settings.mxt.program, self.settings.fsc.program)
+        if name not in here or name in self.missing_programs:
+            raise RefusedCommandError(4140)
 
     def halt(self, *, end_stream: bool = True) -> None:
         """Stand still where the joints are."""
-        self._jog = self._moving = None
+        self._jog = self._moving = self._probe = None
         if self.program and end_stream:
             self.program, self.held = IDLE, True
         self.joints.command_rad = self.joints.true_rad.copy()
@@ -227,6 +248,15 @@ class EmulatedController:
         self.joints.command_rad = joints
         if part >= 1.0:
             self._moving = None
+
+    def _follow_probe(self, probe: EmulatedProbe) -> None:
+        joints = probe.cycle()
+        if joints is None:
+            self.raise_error(2602)
+            return
+        self.joints.command_rad = joints
+        if probe.step is Step.ENDED:
+            self._probe, self.program = None, IDLE
 
     def _follow_jog(self, jog: Jogging) -> None:
         if self.now_s >= jog.until_s or not self.servo or self.error:

@@ -15,7 +15,7 @@ from backend.emulators.melfa_arm import (
     hand_of,
     solve,
 )
-from backend.emulators.melfa_controller import EmulatedController
+from backend.emulators.melfa_controller import STREAM, EmulatedController
 from backend.wire.framing import WireError
 from backend.wire.melfa_blocks import Block, Kind, Pose, Values, kind_of
 from backend.wire.melfa_joints import CYCLE_S
@@ -56,7 +56,7 @@ class EmulatedStream:
         """Take one datagram; return the reply, None where there is none."""
         controller = self._controller
         controller.advance(now_s)
-        if not controller.program:
+        if controller.program != STREAM:
             return None
         try:
             request = decode_request(data)
@@ -77,7 +77,7 @@ class EmulatedStream:
 
     def _cycle(self) -> None:
         """Count a cycle without a packet; too many in a row are an error."""
-        if not self._controller.program:
+        if self._controller.program != STREAM:
             self._running = False
             return
         limit = self._settings.mxt.mxttout

@@ -20,6 +20,7 @@ from backend.core.stream import SampleStream
 from backend.core.turning import UNTURNED, refuse_turned, turn_of, vector_of
 from backend.devices.melfa.console import Console
 from backend.devices.melfa.fields import raw_fields, trace_of, words_of
+from backend.devices.melfa.force_program import Air, ForceProgram
 from backend.devices.melfa.guard import JOINT_RANGES
 from backend.devices.melfa.link_faults import link_fault
 from backend.devices.melfa.orders import Orders
@@ -40,7 +41,7 @@ from backend.devices.protocols import (
 )
 from backend.devices.steps import Steps
 from backend.devices.streamed.measured import MeasuredPlaces
-from backend.devices.streamed.motion import ARM, NOT_CONNECTED, STOPPED, ArmPress
+from backend.devices.streamed.motion import ARM, NOT_CONNECTED, REPLACED, STOPPED, ArmPress
 from backend.devices.streamed.orders import air_before
 
 INF = math.inf
@@ -52,6 +53,8 @@ class MelfaArm:
     """``wrench``: the untared samples of the wrist sensor, in the axes of the bench."""
 
     name = ARM
+    rotates = True
+    joint_limits_rad = JOINT_RANGES
 
     def __init__(
         self,
@@ -71,6 +74,7 @@ class MelfaArm:
         self._watch: Watch | None = None
         self._stopped = threading.Event()
         self._console = Console(wires, settings, self._stopped.is_set)
+        self._force = ForceProgram(lambda: self._console, wires, settings)
         self._lock = threading.Lock()
         self.steps = Steps()
         self.state = DeviceState.CLOSED
@@ -154,9 +158,9 @@ class MelfaArm:
         self._end_stream()
         self._console.servo_off()
 
-    def _end_stream(self) -> None:
+    def _end_stream(self, fault: Fault = STOPPED) -> None:
         with self._lock:
-            self._core.stop()
+            self._core.stop(fault)
         self._wires.pause(WAIT_S)
 
     def _give_up(self) -> None:
@@ -191,12 +195,14 @@ class MelfaArm:
         with self._lock:
             samples = self._wrench.since(self._wrench_cursor)
             self._wrench_cursor = samples.cursor
-            inbox = Inbox(datagrams, samples.t_s, samples.values[:, :3])
-            out = self._core.step(now_s, inbox)
+            felt = samples.t_s, samples.values[:, :3]
+            out = self._core.step(now_s, Inbox(datagrams, *felt))
+            watch = self._watch
+            self._force.cycle(now_s, felt, running=watch is None or not watch.ended)
             if out.pose_mm is not None:
                 self._measured.put(now_s, out.pose_mm)
-            if self._watch is not None:
-                self._supervise(now_s, self._watch)
+            if watch is not None:
+                self._supervise(now_s, watch)
             if out.fault is not None:
                 self._latch(out.fault)
         if out.fault is not None:
@@ -205,12 +211,13 @@ class MelfaArm:
 
     def _supervise(self, now_s: float, watch: Watch) -> None:
         streaming = self._core.phase in (Phase.OPEN, Phase.HOLDING)
-        watch.step(now_s, streaming=streaming)
+        watch.step(now_s, streaming=streaming, probing=self._force.running)
         if watch.place_mm is not None:
             self._measured.put(now_s, watch.place_mm)
             watch.place_mm = None
         if watch.fault is not None:
             self._core.stop(watch.fault)
+            self._force.end(watch.fault)
             self._latch(watch.fault)
             watch.fault = None
 
@@ -226,6 +233,7 @@ class MelfaArm:
     def _lost(self, fault: Fault) -> None:
         with self._lock:
             self._core.stop(fault)
+            self._force.end(fault)
             self._latch(fault)
 
     # -- state ------------------------------------------------------------------------------------
@@ -233,12 +241,13 @@ class MelfaArm:
     def status(self) -> ArmStatus:
         """Return the status words."""
         state = None if self._watch is None else self._watch.state
-        return words_of(self.state, state, self.fault, moving=self._orders.under_way(self._core))
+        moving = self._force.under_way or self._orders.under_way(self._core)
+        return words_of(self.state, state, self.fault, moving=moving)
 
     @property
     def press_n(self) -> float:
         """Felt press force by the zero of the contact law; NaN without contact."""
-        return self._orders.level.press_n()
+        return self._force.press_n if self._force.running else self._orders.level.press_n()
 
     def trace(self) -> tuple[float, ...]:
         """Return the values of ``TRACE`` as they are now."""
@@ -279,21 +288,11 @@ class MelfaArm:
         with self._lock:
             return self._orders.jog(self._core, velocity, turning, self._now_s() + for_s)
 
-    @property
-    def rotates(self) -> bool:
-        """The hand turns, and joints can be driven one by one."""
-        return True
-
     def joints_rad(self, max_age_s: float) -> Joints:
         """Return the measured joints; raises ``StaleSampleError`` if they are older."""
         self.poses.latest(self._now_s(), max_age_s)
         with self._lock:
             return tuple(self._core.measured_rad.tolist())
-
-    @property
-    def joint_limits_rad(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest angle of each joint."""
-        return JOINT_RANGES
 
     def place_of(self, joints_rad: Joints) -> Pose:
         """Return the pose that these joints give the hand."""
@@ -321,6 +320,8 @@ class MelfaArm:
 
     def press(self, command: PressCommand) -> ArmPress:
         """Press compliantly from here straight down; refused while the hand is turned."""
+        if self._settings.stiffness_mode == "controller":
+            return self._press_by_controller(command)
         self._require_stream()
         refuse_turned(self._core.turn)
         before = air_before(self._wrench, self._now_s())
@@ -329,14 +330,21 @@ class MelfaArm:
 
     def unload(self, force_n: float, speed_mm_s: float) -> CommandedMotion:
         """Rise until the press force is ``force_n``."""
+        if self._force.running:
+            self._require_ready()
+            return self._force.unload(force_n, speed_mm_s, self._now_s())
         self._require_stream()
         with self._lock:
             return self._orders.level.unload(self._core, force_n, speed_mm_s)
 
     def halt(self) -> None:
-        """Brake and stand still; the stream goes on."""
+        """Brake and stand still; the stream goes on, a force program is stopped."""
         with self._lock:
             self._core.halt()
+        if self._force.running:
+            self._force.end(STOPPED)
+            self._wires.stop_now(END)
+            self._wires.pace(running=False)
 
     def retreat(self) -> None:
         """Draw back from what the arm touches; where no stream is open, stop."""
@@ -351,18 +359,41 @@ class MelfaArm:
         self._stopped.set()
         with self._lock:
             self._core.stop()
+            self._force.end(STOPPED)
         if self.state is not DeviceState.CLOSED:
             self._wires.stop_now(END)
             self._wires.pace(running=False)
 
+    def _press_by_controller(self, command: PressCommand) -> ArmPress:
+        """End the stream and let the controller press by its force program."""
+        self._force.refuse(command)
+        self._require_ready()
+        refuse_turned(self._core.turn)
+        self._force.end(REPLACED)
+        self._stopped.clear()
+        self._end_stream(REPLACED)
+        return self._force.begin(command, self._air_of_program)
+
+    def _air_of_program(self) -> Air:
+        if self._watch is not None:
+            # What the controller told before concerns another program.
+            self._watch.state = None
+        return air_before(self._wrench, self._now_s())
+
     def _require_stream(self) -> None:
-        """Raise ``FaultError`` unless ready; after a stop the stream is opened again."""
+        """Raise ``FaultError`` unless ready; after a stop or a force program it is opened again."""
+        self._require_ready()
+        if self._force.running:
+            self._force.end(REPLACED)
+        if self._core.phase is not Phase.OPEN:
+            self._stopped.clear()
+            self._console.run_stream()
+            self._open_stream()
+
+    def _require_ready(self) -> None:
+        """Raise ``FaultError`` unless connected with its motors on."""
         if self.state is not DeviceState.READY:
             raise FaultError(self.fault or NOT_CONNECTED)
         if not self._powered:
             # The program of the stream would switch them on.
             raise FaultError(servo_off_fault(ARM))
-        if self._core.phase is not Phase.OPEN:
-            self._stopped.clear()
-            self._console.run_stream()
-            self._open_stream()

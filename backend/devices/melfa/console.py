@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import re
+from collections.abc import Callable, Mapping
 
 from backend.config.hardware import MelfaSettings
 from backend.core.faults import FaultError
@@ -94,6 +96,25 @@ class Console:
         self._wires.pace(running=True)
         self.ask("RUN", f"{self._settings.mxt.program};1")
         self._poll(Run.RUNNING, RUN_S, "The real-time program does not start.")
+
+    def run_probe(self, values: Mapping[str, float]) -> None:
+        """Write the variables of the force program, read them back, and run it."""
+        program = self._settings.fsc.program
+        if Run.RUNNING in self.state().run:
+            self.ask("STOP")
+        self._wait_for_end()
+        self.ask("SLOTINIT")
+        self.ask("PRGLOAD=", program)
+        for name, value in values.items():
+            self.ask("HOT", f"{program};{name}={value:g}")
+            told = self.ask("VAL", name)
+            if not re.fullmatch(rf"{name}=([-+0-9.Ee]+)", told):
+                raise FaultError(link_fault(f"The controller tells '{told}' of {name}."))
+            if not math.isclose(float(told.split("=")[1]), value, rel_tol=1e-3, abs_tol=1e-6):
+                raise FaultError(link_fault(f"The controller did not take {name} = {value:g}."))
+        self._wires.pace(running=True)
+        self.ask("RUN", f"{program};1")
+        self._poll(Run.RUNNING, RUN_S, "The force program does not start.")
 
     def _go_on(self) -> None:
         if self._cancelled():

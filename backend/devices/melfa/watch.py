@@ -22,6 +22,7 @@ from backend.wire.melfa_r3_positions import Reading, read_axes
 STATE_S = 0.1
 PLACE_S = 0.04
 """Only while no program runs: the controller asks for 100 ms between exchanges then."""
+PROBING_STATE_S = 0.35
 STATE, PLACE = Request("STATE"), Request("PPOS", "F")
 
 Ask = Callable[[Request, float], Ticket]
@@ -41,8 +42,17 @@ class Watch:
         self.fault: Fault | None = None
         """An error of the controller, or a program that ended by itself."""
 
-    def step(self, now_s: float, *, streaming: bool) -> None:
-        """Read the answer that came, ask the next question when it is time."""
+    @property
+    def ended(self) -> bool:
+        """Whether the controller has told that no program runs."""
+        return self.state is not None and Run.RUNNING not in self.state.run
+
+    def step(self, now_s: float, *, streaming: bool, probing: bool = False) -> None:
+        """Read the answer that came, ask the next question when it is time.
+
+        ``probing``: the force program runs, so that questions keep their distance; then most of
+        them are for the place.
+        """
         if self._ticket is not None:
             if not self._ticket.done:
                 return
@@ -50,7 +60,7 @@ class Watch:
             self._ticket = None
         if now_s < self._next_s:
             return
-        due = streaming or now_s - self._state_s >= STATE_S
+        due = streaming or now_s - self._state_s >= (PROBING_STATE_S if probing else STATE_S)
         if due:
             self._state_s = now_s
         self._next_s = now_s + (STATE_S if streaming else PLACE_S)

@@ -16,7 +16,7 @@ from backend.core.stream import SampleStream
 from backend.devices.motion import CommandedMotion
 from backend.devices.protocols import PressCommand
 from backend.devices.retreating import RETREAT_MM, RETREAT_MM_S
-from backend.devices.streamed.admittance import Law, Loop, fastest_approach_mm_s, law_for
+from backend.devices.streamed.admittance import Loop, fastest_approach_mm_s, law_for
 from backend.devices.streamed.compliance import TRIP_N, Compliance
 from backend.devices.streamed.motion import ARM, NO_WRENCH, NOTHING_MOVED, ArmPress
 from backend.devices.streamed.pressing import Press
@@ -82,7 +82,7 @@ class StreamedOrders:
                 f"{command.approach_mm_s:.1f} mm/s: a contact could reach {TRIP_N:.0f} N over "
                 f"{fastest:.1f} mm/s.",
             )
-        motion = ArmPress(_told(command, law))
+        motion = ArmPress({**told_of(command), "damping_n_s_mm": law.damping})
         self._press = Press(motion, command, law, self.loop, before)
         core.run(self._press)
         return motion
@@ -127,7 +127,8 @@ def air_before(wrench: SampleStream, now_s: float) -> tuple[FloatArray, FloatArr
     return air.t_s[finite], air.values[finite, :3]
 
 
-def _told(command: PressCommand, law: Law) -> dict[str, float]:
+def told_of(command: PressCommand) -> dict[str, float]:
+    """Return what is sent of a press, by name."""
     return {
         "depth_mm": command.depth_mm,
         "ramp_s": command.ramp_s,
@@ -136,7 +137,6 @@ def _told(command: PressCommand, law: Law) -> dict[str, float]:
         "threshold_n": command.threshold_n,
         "max_travel_mm": command.max_travel_mm,
         "stiffness_z_n_mm": command.stiffness_n_mm[2],
-        "damping_n_s_mm": law.damping,
     }
 
 

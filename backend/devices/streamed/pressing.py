@@ -121,7 +121,7 @@ class Press:
         after[2] -= self._speed_mm_s * felt.cycle_s
         assert self._start_z_mm is not None
         if self._start_z_mm - after[2] > command.max_travel_mm:
-            self.motion.end(_no_contact(command.max_travel_mm))
+            self.motion.end(no_contact(command.max_travel_mm))
             return felt.command_mm
         return after
 
@@ -184,7 +184,8 @@ class Press:
         comply.reference_mm[2] = min(z_mm, self._rise_to_mm)
 
 
-def _no_contact(travel_mm: float) -> Fault:
+def no_contact(travel_mm: float) -> Fault:
+    """Return the fault of a descent that met nothing on its way."""
     return Fault(
         "NO-CONTACT",
         f"No contact on {travel_mm:.1f} mm of descent.",

@@ -195,7 +195,7 @@ class Unload:
         if math.isfinite(press_n):
             comply.reference_mm[2] += self.speed_mm_s * felt.cycle_s
         if comply.reference_mm[2] - self._start_mm > UNLOAD_MM:
-            self.motion.end(_not_unloaded(press_n))
+            self.motion.end(not_unloaded(press_n))
             return felt.command_mm
         return comply.command_mm(felt.now_s)
 
@@ -207,7 +207,8 @@ class Unload:
         """Nothing: the law has its own speed."""
 
 
-def _not_unloaded(press_n: float) -> Fault:
+def not_unloaded(press_n: float) -> Fault:
+    """Return the fault of rising without being relieved."""
     return Fault(
         "NOT-UNLOADED",
         f"{press_n:.1f} N press force after rising {UNLOAD_MM:.0f} mm.",

@@ -225,14 +225,16 @@ class _Follow:
         return self._rig_mm()
 
 
-def on_bench(bench: SimulatedBench) -> tuple[MelfaArm, SteppedWires]:
+def on_bench(bench: SimulatedBench, **more: object) -> tuple[MelfaArm, SteppedWires]:
     """Return the driver of an emulated arm that carries the gripper of ``bench``."""
-    world, wanted = bench._world, settings()
+    world, wanted = bench._world, settings(**more)
     placing = Orders(wanted).placing
     device = EmulatedMelfa(wanted, start_rad=placing.joints(world.drive.command_mm, READY_RAD))
     wires = SteppedWires(device, bench.clock)
     wires.also = bench.advance
     joints = device.controller.joints
+    felt = bench.force_torque.samples
+    device.controller.force_n = lambda: felt.latest(bench.clock.now_s(), 1.0)[1][:3]
     world.drive.run(
         _Follow(
             lambda: placing.pivot_mm(joints.true_rad),

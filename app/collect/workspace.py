@@ -39,6 +39,7 @@ class CollectWorkspace(Workspace):
         self.label = LabelWorkspace(desk)
         self.live: LivePresenter | None = None
         self._link: Link | None = None
+        self._told_keys = False
         self._looked_at: Dataset | None = None
         """The dataset as it is looked at before anybody is named; nothing is written to it."""
         self.label.opened = self._take_dataset
@@ -104,6 +105,7 @@ class CollectWorkspace(Workspace):
     def leave(self) -> None:
         """Save what is being labelled; a campaign goes on unseen."""
         self.label.leave()
+        self._hush_keys()
 
     def fit_to_theme(self) -> None:
         """Take the sizes of the theme."""
@@ -197,12 +199,20 @@ class CollectWorkspace(Workspace):
         if name == LABEL:
             self.label.enter()
             self._desk.say(LABEL_WORDS)
+            self._told_keys = True
             return
         self.label.leave()
+        self._hush_keys()
         self.collect_page.setFocus()
         self.label.open()
         self._look()
         self.presenter.probes.restyle()
+
+    def _hush_keys(self) -> None:
+        """Take the keys of Label out of the foot: they mean something else elsewhere."""
+        if self._told_keys:
+            self._told_keys = False
+            self._desk.say("")
 
     def _show_other_half(self) -> None:
         self.page.show_half(COLLECT if self.page.front == LABEL else LABEL)

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 
+from app.collect.workspace import LABEL_WORDS
 from app.error_hooks import log_to
 from backend.core.facts import Paused, PhaseEntered
 from backend.core.faults import Fault
@@ -158,3 +159,16 @@ def test_a_run_that_paused_by_itself_says_why_until_it_goes_on(live, bench):
     bench.hub.publish(PhaseEntered(2.0, "press", 3))
     settle(live)
     assert live.cards.codes == ()
+
+
+def test_the_keys_of_label_are_told_on_label_alone(live):
+    live.go("collect")
+    page, foot = live.workspaces["collect"].page, live.window._message
+    for leave in (lambda: page.show_half("collect"), lambda: live.go("stack")):
+        live.go("collect")
+        page.show_half("label")
+        settle(live)
+        assert foot.text() == LABEL_WORDS
+        leave()
+        settle(live)
+        assert foot.text() == ""

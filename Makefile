@@ -60,7 +60,7 @@ screens: setup ## render every workspace and state, in all themes, into output/s
 pictures: setup ## rewrite the screenshots in docs/img
 	@mkdir -p docs/img
 	@for theme in dark light; do \
-	    QT_QPA_PLATFORM=offscreen $(BIN)/touchdown app --theme $$theme --size 1600x940 \
+	    QT_QPA_PLATFORM=offscreen $(BIN)/touchdown app --theme $$theme --size 1280x720 \
 	        --grab docs/img/stack-$$theme.png --after 13; \
 	done
 

@@ -10,7 +10,7 @@ import time
 import numpy as np
 
 from backend.config.hardware import HardwareSettings
-from backend.core.faults import FaultError
+from backend.core.faults import FaultError, RefusedError
 from backend.core.flow import Pose
 from backend.core.stream import SampleStream
 from backend.devices.interlock import Interlock
@@ -26,7 +26,8 @@ from backend.rig.remote import RigArm, RigForceTorque, RigGripper
 from tests.backend.devices.emulated_arm import settings as melfa_settings
 
 TOP = Pose(0.0, 0.0, 160.0)
-STALLED = ("MXT-LOST", "MXT-START", "PRESS-VOID", "BACKEND-SILENT", "CONTROL-LOST", "LEASE-LAPSED")
+STALLED = ("MXT-LOST", "MXT-START", "PRESS-VOID", "BACKEND-SILENT", "CONTROL-LOST", "LEASE-LAPSED",
+           "FT-STALE", "NO-LEASE")  # fmt: skip
 """What a machine that stands still for a while does to real time: tried again."""
 
 
@@ -92,8 +93,9 @@ class Backend:
                     if motion.done:
                         motion.result()
                     self._over.wait(0.01)
-            except FaultError as error:
-                if error.fault.code not in STALLED:
+            except (FaultError, RefusedError) as error:
+                code = error.fault.code if isinstance(error, FaultError) else error.reason
+                if code not in STALLED:
                     raise
                 self.disconnect()
                 self.interlock.reset()

@@ -216,7 +216,7 @@ def test_the_true_inset_is_that_of_the_outline() -> None:
 
 
 def test_a_training_learns_and_is_the_same_again() -> None:
-    settings = FusedTraining(steps=100, batch=32, seed=3, shape=SMALL)
+    settings = FusedTraining(100, 32, learning_rate=1e-2, seed=3, shape=SMALL)
     train, held_out = made_up(96, 1), made_up(32, 2)
     trainer = FusedTrainer(train, held_out, settings)
     before = trainer.held_out_loss()

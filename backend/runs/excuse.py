@@ -9,9 +9,9 @@ from backend.core.facts import TrialFinished
 from backend.core.flow import Outcome
 
 DEVICE_FAULTS = frozenset({
-    "ARM-LINK", "ARM-STALE", "CAMERA-DARK", "CAMERA-FROZEN", "CAMERA-LINK", "CAMERA-STALE", "CONTROLLER",
-    "FT-LINK", "FT-SENSOR", "FT-STALE", "MXT-ENDED", "MXT-LOST", "MXT-START", "PRESS-VOID",
-    "WSG-DEVICE", "WSG-FAST-STOP", "WSG-FRAME", "WSG-LINK", "WSG-TIMEOUT",
+    "ARM-LINK", "ARM-STALE", "CAMERA-DARK", "CAMERA-FROZEN", "CAMERA-LINK", "CAMERA-STALE",
+    "CONTROLLER", "FT-LINK", "FT-SENSOR", "FT-STALE", "MXT-ENDED", "MXT-LOST", "MXT-START",
+    "PRESS-VOID", "WSG-DEVICE", "WSG-FAST-STOP", "WSG-FRAME", "WSG-LINK", "WSG-TIMEOUT",
 })  # fmt: skip
 """Codes of faults that say that a device was silent, lost or broken. What a press, a grip or an
 estimate came to (too much force, no contact, no piece, a stop) is a failure and not among them.

@@ -136,7 +136,7 @@ def test_commits_are_durable_by_the_settings_of_the_file(dataset: Dataset) -> No
         "journal_mode": "wal",
         "synchronous": 2,
         "foreign_keys": 1,
-        "busy_timeout": 5000,
+        "busy_timeout": 2000,
         "user_version": SCHEMA_VERSION,
     }
 

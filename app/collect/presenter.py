@@ -88,13 +88,17 @@ class CollectPresenter:
         self.link = link
         link.dataset = self.dataset
 
-    def take_dataset(self, dataset: Dataset) -> None:
-        """Take the dataset that was opened, and read what it holds of the pair."""
+    def take_dataset(self, dataset: Dataset, *, read: bool) -> None:
+        """Take the dataset that was opened; ``read`` what it holds of the pair, if it is seen.
+
+        Ten thousand probes take five seconds, in which every turn of the window waits.
+        """
         self.probes.dataset = dataset
         if self.link is not None:
             self.link.dataset = dataset
         self._read_campaign()
-        self.choose_pair()
+        if read:
+            self.choose_pair()
 
     def choose_pair(self) -> None:
         """Show the probes of the pair in the form."""

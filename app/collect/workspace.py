@@ -166,7 +166,7 @@ class CollectWorkspace(Workspace):
     # -- the dataset ------------------------------------------------------------------------------
 
     def _take_dataset(self, opened: Opened) -> None:
-        self.presenter.take_dataset(opened.dataset)
+        self.presenter.take_dataset(opened.dataset, read=self.page.front == COLLECT)
         self._stop_looking()
 
     def _look(self) -> None:
@@ -181,7 +181,7 @@ class CollectWorkspace(Workspace):
     def _looking(self, dataset: Dataset) -> None:
         if self.presenter.dataset is None:
             self._looked_at = dataset
-            self.presenter.take_dataset(dataset)
+            self.presenter.take_dataset(dataset, read=self.page.front == COLLECT)
         else:
             self.reader.submit(dataset.close, _unseen, _unseen)
 

@@ -7,10 +7,16 @@ from importlib.resources import files
 from pathlib import Path
 
 from backend.core.faults import InputError
-from backend.experiments.recipes import MODELS
+from backend.experiments.recipes import MODELS, Recipe
 from backend.jobs.spec import JobSpec
 from backend.jobs.store import JobStore
-from backend.learning.checkpoint import Checkpoint, card_path, load_card, load_checkpoint
+from backend.learning.checkpoint import (
+    Checkpoint,
+    card_path,
+    load_card,
+    load_checkpoint,
+    save_half,
+)
 
 WEIGHTS = "model.safetensors"
 
@@ -43,6 +49,22 @@ def _adopted(store: JobStore, folder: Path) -> dict[tuple[str, str], str]:
     if not found:
         raise InputError("There are no models here.", str(folder), "Name a folder of models.")
     return found
+
+
+def keep_models(store: JobStore, recipe: Recipe, folder: Path) -> list[Path]:
+    """Write each model that the experiment has trained so far to ``folder``, with 16-bit weights.
+
+    Named by piece and table name, as ``pot-ft+tac.safetensors``: a folder for ``--models``.
+    """
+    written = []
+    for piece in recipe.pieces:
+        for name, _, _ in MODELS:
+            source = recipe.training(piece, name).id
+            if store.has(source):
+                path = folder / f"{piece}-{name.lower()}.safetensors"
+                save_half(path, load_model(source, store))
+                written.append(path)
+    return written
 
 
 def load_model(source: str, store: JobStore) -> Checkpoint:

@@ -26,6 +26,10 @@ from backend.learning.shape import ARCHITECTURES, Shape, expected_arrays
 MAX_WEIGHT_BYTES = 100_000_000
 MAX_CARD_BYTES = 1_000_000
 FIX = "Use the model that came with Touchdown, or train again with 'touchdown train'."
+STORED = (np.float32, np.float16)
+"""Types of weights on disk; in memory they are float32."""
+WHOLE = ("mean", "scale")
+"""In the units of the signals, as small as they come: never of 16 bits."""
 _PICKLES = (b"PK\x03\x04", b"\x80")
 Size = Annotated[int, Field(ge=1, le=100_000)]
 
@@ -90,13 +94,22 @@ def card_path(path: Path) -> Path:
     return path.with_suffix(".json")
 
 
-def save_checkpoint(path: Path, arrays: Mapping[str, NDArray[np.float32]], card: Card) -> Card:
+def save_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], card: Card) -> Card:
     """Write weights and card; returns the card with the weights' hash."""
     content = save_arrays({name: np.ascontiguousarray(array) for name, array in arrays.items()})
     sealed = card.model_copy(update={"weights_sha256": hashlib.sha256(content).hexdigest()})
     write_atomically(path, content)
     save_card(path, sealed)
     return sealed
+
+
+def save_half(path: Path, model: Checkpoint) -> Card:
+    """Write a model with weights of 16 bits, half as large; ``mean`` and ``scale`` stay whole."""
+    arrays = {
+        name: array if name in WHOLE else array.astype(np.float16)
+        for name, array in model.arrays.items()
+    }
+    return save_checkpoint(path, arrays, model.card)
 
 
 def save_card(path: Path, card: Card) -> None:
@@ -119,7 +132,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
         raise _bad(path, "The weights are damaged or not those of their card (SHA-256 differs)")
     arrays = parse_arrays(content, path)
     _check_arrays(arrays, Shape(**card.hyper.model_dump()), path)
-    return Checkpoint(arrays, card)
+    return Checkpoint({name: a.astype(np.float32, copy=False) for name, a in arrays.items()}, card)
 
 
 def load_card(path: Path) -> Card:
@@ -146,7 +159,7 @@ def load_card(path: Path) -> Card:
     return card
 
 
-def parse_arrays(content: bytes, path: Path) -> dict[str, NDArray[np.float32]]:
+def parse_arrays(content: bytes, path: Path) -> dict[str, NDArray[Any]]:
     """Parse safetensors bytes; raises ``InputError`` naming ``path``."""
     try:
         return load_arrays(content)
@@ -154,7 +167,7 @@ def parse_arrays(content: bytes, path: Path) -> dict[str, NDArray[np.float32]]:
         raise _bad(path, f"The file is not a complete safetensors file ({error})") from error
 
 
-def _check_arrays(arrays: dict[str, NDArray[np.float32]], shape: Shape, path: Path) -> None:
+def _check_arrays(arrays: dict[str, NDArray[Any]], shape: Shape, path: Path) -> None:
     expected = expected_arrays(shape)
     if set(arrays) != set(expected):
         odd = ", ".join(sorted(set(arrays) ^ set(expected)))
@@ -162,8 +175,8 @@ def _check_arrays(arrays: dict[str, NDArray[np.float32]], shape: Shape, path: Pa
     for name, array in arrays.items():
         if array.shape != expected[name]:
             raise _bad(path, f"Tensor '{name}' has shape {array.shape}, not {expected[name]}")
-        if array.dtype != np.float32:
-            raise _bad(path, f"Tensor '{name}' is {array.dtype}, not float32")
+        if array.dtype not in STORED:
+            raise _bad(path, f"Tensor '{name}' is {array.dtype}, not float32 or float16")
         if not np.isfinite(array).all():
             raise _bad(path, f"Tensor '{name}' holds values that are not finite")
     if not (arrays["scale"] > 0).all():

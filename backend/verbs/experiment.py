@@ -62,6 +62,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--models", type=Path, metavar="DIR", help="models for --quick (default: those that ship)"
     )
+    parser.add_argument(
+        "--keep-models", type=Path, metavar="DIR", help="write the models that --full trained, in "
+        "half precision",
+    )  # fmt: skip
     parser.add_argument("--executor", choices=EXECUTORS, default="local", help="default: local")
     parser.add_argument(
         "--workers",
@@ -110,6 +114,8 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     jobs = recipe.jobs()
     failed = _done(jobs, recipe.effort, args, screen, store)
     missing = sum(not store.has(spec.id) for spec in jobs)
+    if args.keep_models:
+        _keep(args, recipe, store, screen)
     page, answer = write_tables(args.out, recipe, store)
     screen.say(f"{len(jobs) - missing} of {len(jobs)} jobs are done: {page}")
     screen.result(
@@ -123,6 +129,14 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         }
     )
     return 1 if failed else 0
+
+
+def _keep(args: argparse.Namespace, recipe: Recipe, store: JobStore, screen: Screen) -> None:
+    from backend.experiments.given_models import keep_models
+
+    args.keep_models.mkdir(parents=True, exist_ok=True)
+    kept = keep_models(store, recipe, args.keep_models)
+    screen.say(f"{len(kept)} models: {args.keep_models}")
 
 
 def _done(
@@ -237,6 +251,8 @@ def _recipe(args: argparse.Namespace, store: JobStore) -> Recipe:
             "Name some of mushroom,barrel,pot.",
         )
     scale = SCALES[args.scale]
+    if args.keep_models and not scale.probes:
+        raise InputError("--quick trains no models.", "--keep-models", "Leave it out, or --full.")
     if args.models and scale.probes:
         raise InputError("--full trains its own models.", "--models", "Leave it out, or --quick.")
     bench = load_simulation(args.bench, None if args.bench else args.preset)

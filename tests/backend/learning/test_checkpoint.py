@@ -18,6 +18,7 @@ from backend.learning.checkpoint import (
     load_checkpoint,
     parse_arrays,
     save_checkpoint,
+    save_half,
 )
 from backend.learning.model import network, new_model
 from backend.learning.shape import ARCH, Shape, expected_arrays
@@ -93,6 +94,21 @@ def test_a_truncated_file_is_refused(path: Path) -> None:
         refused(path, "not a complete safetensors")
 
 
+def test_weights_of_16_bits_are_half_as_large_and_answer_alike(path: Path) -> None:
+    whole = load_checkpoint(path)
+    half = path.with_name("half.safetensors")
+    save_half(half, whole)
+    loaded = load_checkpoint(half)
+    assert {a.dtype for a in loaded.arrays.values()} == {np.dtype(np.float32)}
+    assert half.stat().st_size < 0.7 * path.stat().st_size
+    for name in ("mean", "scale"):
+        assert np.array_equal(loaded.arrays[name], whole.arrays[name])
+    x = torch.randn(50, 20, 6, generator=torch.Generator().manual_seed(1))
+    with torch.no_grad():
+        first, second = (torch.sigmoid(network(m)(x)) for m in (whole, loaded))
+    assert 0.0 < float((first - second).abs().max()) < 0.002
+
+
 def test_a_flipped_bit_is_refused(path: Path) -> None:
     whole = bytearray(path.read_bytes())
     whole[-5] ^= 1
@@ -114,7 +130,7 @@ def test_other_tensors_are_refused(path: Path) -> None:
     good = parse_arrays(path.read_bytes(), path)
     cases = {
         "head.bias": ({**good, "head.bias": np.zeros(6, np.float32)}, "shape"),
-        "half": ({**good, "head.bias": np.zeros(5, np.float16)}, "float32"),
+        "double": ({**good, "head.bias": np.zeros(5, np.float64)}, "float64, not float32"),
         "extra": ({**good, "extra": np.zeros(1, np.float32)}, "unexpected tensors: extra"),
         "scale": ({**good, "scale": np.zeros(6, np.float32)}, "not positive"),
         "less": ({k: v for k, v in good.items() if k != "mean"}, "Missing .* mean"),

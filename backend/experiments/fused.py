@@ -40,8 +40,8 @@ class FusedRecipe:
 
     bench: SimulationSettings
     code: str
-    parts: int = 15
-    steps: int = 1600
+    parts: int = 60
+    steps: int = 6000
     seed: int = 0
     pieces: int = PIECES_PER_JOB
     bottoms: int = BOTTOMS_PER_PIECE

@@ -21,9 +21,9 @@ Done = Callable[[list["JobSpec"], Callable[["JobSpec"], int]], list[str]]
 def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     fused = parser.add_argument_group("fused")
-    fused.add_argument("--parts", type=int, default=15, help="jobs of 240 sequences of probes "
+    fused.add_argument("--parts", type=int, default=60, help="jobs of 240 sequences of probes "
                        "(default: %(default)s)")  # fmt: skip
-    fused.add_argument("--steps", type=int, default=1600, help="of the training (default: "
+    fused.add_argument("--steps", type=int, default=6000, help="of the training (default: "
                        "%(default)s)")  # fmt: skip
     fused.add_argument("--seed", type=int, default=0, help="of data and training (default: "
                        "%(default)s)")  # fmt: skip

@@ -39,7 +39,7 @@ Arrays = Mapping[str, NDArray[Any]]
 class FusedTraining:
     """How long and how fast."""
 
-    steps: int = 1600
+    steps: int = 6000
     batch: int = 128
     learning_rate: float = 2e-3
     seed: int = 0

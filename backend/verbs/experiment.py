@@ -75,6 +75,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--cluster", metavar="ADDRESS", help="scheduler of the executor dask")
     parser.add_argument("--shard", metavar="i/n", help="do every n-th job only, for batch queues")
+    _add_beyond_arguments(parser)
+    add_asked_arguments(parser)
+    add_fused_arguments(parser)
+
+
+def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
     beyond = parser.add_argument_group("beyond")
     beyond.add_argument("--strategies", default="paper,outlines,pressure", help="or looking, "
                         "fused, zero-wrench, ceiling, ceiling-diameter, pick-and-place "
@@ -83,8 +89,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         "short+long, short+hex20, short+rect12x28 "
                         "(default: %(default)s)")  # fmt: skip
     beyond.add_argument("--trials", type=int, default=50, help="of a cell (default: %(default)s)")
-    add_asked_arguments(parser)
-    add_fused_arguments(parser)
     beyond.add_argument("--statics", type=int, default=0, metavar="GROUPS", help="also ask each "
                         "strategy at so many places of a cell, after 1 to 5 probes")  # fmt: skip
     beyond.add_argument("--entry-sigma", type=float, default=1.0, metavar="MM", help="how well the "

@@ -75,7 +75,8 @@ class Wired:
 
     @property
     def condition(self):
-        return self.driver.describe()["condition"]
+        # What the rig tells of a device comes a moment after the device itself.
+        return self.driver.describe().get("condition", "")
 
     def connect(self):
         self.driver.connect(5.0, threading.Event())

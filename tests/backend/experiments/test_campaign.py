@@ -11,7 +11,12 @@ import pytest
 from backend.assembly import make_scene
 from backend.config.simulation import SimulationSettings
 from backend.core.faults import InputError
-from backend.experiments.given_models import adopt_models, load_model, models_that_ship
+from backend.experiments.given_models import (
+    adopt_models,
+    keep_models,
+    load_model,
+    models_that_ship,
+)
 from backend.experiments.kinds import KINDS
 from backend.experiments.recipes import (
     BOTTOMS,
@@ -153,6 +158,10 @@ def test_a_tiny_campaign_gives_traced_tables_that_repeat(tmp_path: Path) -> None
     methods = {row["method"]: row for row in answers[0]["table2"]}
     assert methods["Implicit"]["cells"][0]["accuracy"]["n"] <= TINY.groups
     assert "accuracy" not in methods["5"]["cells"][0]
+    kept = keep_models(store, recipe, tmp_path / "kept")
+    assert len(kept) == len(MODELS)
+    again = adopt_models(JobStore(tmp_path / "other"), tmp_path / "kept")
+    assert set(again) == {("pot", name) for name, _, _ in MODELS}
 
 
 def test_quick_uses_models_that_exist_and_leaves_other_cells_empty(tmp_path: Path) -> None:
@@ -214,8 +223,8 @@ def test_models_trained_on_the_frozen_bench_win_over_those_of_the_default_one(
     store = JobStore(tmp_path / "jobs")
     general = adopt_models(store, *models_that_ship("mixed"))
     own = adopt_models(store, *models_that_ship("bench-v1"))
-    assert own["mushroom", "FT+Tac"] == general["mushroom", "FT+Tac"]
-    assert own["pot", "FT+Tac"] != general["pot", "FT+Tac"]
+    assert all(own[piece, "FT+Tac"] != general[piece, "FT+Tac"] for piece in PIECES)
+    assert set(own) == {(piece, name) for piece in PIECES for name, _, _ in MODELS}
     card = load_model(own["pot", "FT"], store).card
     assert (card.modality, card.training["keep"]) == ("FT", "last")
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
@@ -66,6 +67,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--keep-models", type=Path, metavar="DIR", help="write the models that --full trained, in "
         "half precision",
     )  # fmt: skip
+    parser.add_argument(
+        "--against", type=Path, metavar="JSON", help="tell which 95 %% intervals miss the values "
+        "of another tables.json",
+    )  # fmt: skip
     parser.add_argument("--executor", choices=EXECUTORS, default="local", help="default: local")
     parser.add_argument(
         "--workers",
@@ -122,6 +127,8 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         _keep(args, recipe, store, screen)
     page, answer = write_tables(args.out, recipe, store)
     screen.say(f"{len(jobs) - missing} of {len(jobs)} jobs are done: {page}")
+    if args.against:
+        _compare(answer, args.against, screen)
     screen.result(
         {
             "version": JSON_VERSION,
@@ -141,6 +148,22 @@ def _keep(args: argparse.Namespace, recipe: Recipe, store: JobStore, screen: Scr
     args.keep_models.mkdir(parents=True, exist_ok=True)
     kept = keep_models(store, recipe, args.keep_models)
     screen.say(f"{len(kept)} models: {args.keep_models}")
+
+
+def _compare(answer: dict[str, Any], file: Path, screen: Screen) -> None:
+    from backend.experiments.within import within
+
+    try:
+        other = json.loads(file.read_bytes())
+        found = within(answer, other)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"There are no tables to compare with: {error}.", str(file), "Name a tables.json."
+        ) from error
+    agree = found.cells - len(found.outside)
+    screen.say(f"{agree} of {found.cells} cells agree with {file}")
+    for name in found.outside:
+        screen.say(f"  not: {name}")
 
 
 def _done(

@@ -124,7 +124,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     Checked: kind of file, card, hash, allow-listed architecture, name, shape and type of every
     tensor, finite values, length and order of the input.
     """
-    content = _read(path, MAX_WEIGHT_BYTES)
+    content = read_limited(path, MAX_WEIGHT_BYTES)
     if content.startswith(_PICKLES) and content[8:9] != b"{":
         raise _bad(path, "This is a pickled PyTorch file; such files can run code and are refused")
     card = load_card(path)
@@ -138,7 +138,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
 def load_card(path: Path) -> Card:
     """Load and check the card of the weights ``path``."""
     where = card_path(path)
-    content = _read(where, MAX_CARD_BYTES)
+    content = read_limited(where, MAX_CARD_BYTES)
     try:
         card = Card.model_validate_json(content)
     except ValidationError as error:
@@ -183,14 +183,15 @@ def _check_arrays(arrays: dict[str, NDArray[Any]], shape: Shape, path: Path) -> 
         raise _bad(path, "Tensor 'scale' holds values that are not positive")
 
 
-def _read(path: Path, limit: int) -> bytes:
+def read_limited(path: Path, limit: int, fix: str = FIX) -> bytes:
+    """Return a file of at most ``limit`` bytes; raises ``InputError`` with ``fix``."""
     try:
         if path.stat().st_size > limit:
-            raise _bad(path, "The file is too large for a model")
+            raise InputError("The file is too large for a model.", str(path), fix)
         return path.read_bytes()
     except OSError as error:
         reason = error.strerror or "unreadable"
-        raise InputError(f"Cannot read the file: {reason}.", str(path), FIX) from error
+        raise InputError(f"Cannot read the file: {reason}.", str(path), fix) from error
 
 
 def _bad(path: Path, what: str) -> InputError:

@@ -18,7 +18,7 @@ from safetensors.numpy import save as save_arrays
 
 from backend.core.faults import InputError
 from backend.core.files import write_atomically
-from backend.learning.checkpoint import card_path, parse_arrays
+from backend.learning.checkpoint import card_path, parse_arrays, read_limited
 from backend.learning.features import VECTOR_ORDER
 from backend.learning.fused.shape import ARCH, FusedShape, expected_arrays
 from backend.learning.fused.summary import TICKS
@@ -92,7 +92,7 @@ def load_fused(path: Path) -> FusedCheckpoint:
 
     Checked: size, card, hash, name, shape and type of every array, finite values.
     """
-    content, about = _read(path), _read(card_path(path))
+    content, about = (read_limited(p, MAX_BYTES, FIX) for p in (path, card_path(path)))
     try:
         card = FusedCard.model_validate_json(about)
     except ValidationError as error:
@@ -123,16 +123,6 @@ def shipped_path() -> Path:
 def shipped_fused() -> FusedCheckpoint:
     """Return the network that comes with the program; raises ``InputError``."""
     return load_fused(shipped_path())
-
-
-def _read(path: Path) -> bytes:
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise _bad(path, "The file is too large for a fusing network")
-        return path.read_bytes()
-    except OSError as error:
-        reason = error.strerror or "unreadable"
-        raise InputError(f"Cannot read the file: {reason}.", str(path), FIX) from error
 
 
 def _bad(path: Path, what: str) -> InputError:

@@ -26,7 +26,6 @@ from backend.devices.protocols import (
     DeviceState,
     Health,
     Identity,
-    Joints,
     PressCommand,
     Vector,
 )
@@ -38,6 +37,7 @@ from backend.devices.streamed.orders import StreamedOrders, air_before
 from backend.devices.streamed.programs import Travel
 from backend.devices.ur.faults import leaning_fault, link_fault, robot_fault
 from backend.devices.ur.fields import words_of
+from backend.devices.ur.level import NO_TURNS, LevelHand
 from backend.devices.ur.rtde import (
     RUNNING,
     Interfaces,
@@ -55,15 +55,12 @@ LOOK_S = 0.05
 SETTLE_S = 1.0
 """A stop that was asked for is answered within this, or nothing moves."""
 AXES = ("x_mm", "y_mm", "z_mm")
-NO_TURNS = "this arm does not turn its hand"
 
 
-class UrArm:
+class UrArm(LevelHand):
     """``wrench``: the untared samples of the wrist sensor, in the axes of the bench."""
 
     name = ARM
-    rotates = False
-    joint_limits_rad: tuple[tuple[float, float], ...] = ()
 
     def __init__(
         self,
@@ -91,6 +88,7 @@ class UrArm:
         self._rotation = np.zeros(3)
         self._lock = threading.Lock()
         self._stop_asked, self._ends = threading.Event(), threading.Event()
+        self._retreat_asked = threading.Event()
         self._thread: threading.Thread | None = None
         self._lane: StopLane | None = None
         self._script_ended = False
@@ -182,6 +180,7 @@ class UrArm:
         self._measured.begin()
         self._watch = Watch(self._now_s())
         self._stop_asked.clear()
+        self._retreat_asked.clear()
         self._script_ended = False
         self._lane = StopLane(robot.stopper)
         self._ends = threading.Event()
@@ -248,6 +247,7 @@ class UrArm:
     def _take_stop(self, robot: Interfaces) -> None:
         """Take note, with the lock held, that STOP has gone out."""
         self._stop_asked.clear()
+        self._retreat_asked.clear()
         self._core.end(STOPPED)
         self._servoing, self._script_ended = False, True
 
@@ -262,6 +262,10 @@ class UrArm:
     def _command(self, robot: Interfaces, now_s: float) -> None:
         samples = self._wrench.since(self._cursor)
         self._cursor = samples.cursor
+        if self._retreat_asked.is_set():
+            self._retreat_asked.clear()
+            if robot.control.isProgramRunning():
+                self._orders.retreat(self._core)
         if not self._servoing and self._core.program is None:
             return
         if not robot.control.isProgramRunning():
@@ -331,29 +335,10 @@ class UrArm:
         velocity = np.array(velocity_mm_s)
         if not (np.isfinite(velocity).all() and 0.0 < for_s < math.inf):
             raise ValueError("velocity and time must be finite, the time positive")
-        if any(turn_rad_s):
-            raise ValueError(NO_TURNS)
+        self.refuse_turning(turn_rad_s)
         self._require_ready()
         with self._lock:
             return self._orders.follow(self._core, velocity, self._now_s() + for_s)
-
-    # This arm does not rotate: the four below are refused.
-
-    def joints_rad(self, max_age_s: float) -> Joints:
-        """Refuse."""
-        raise ValueError(NO_TURNS)
-
-    def place_of(self, joints_rad: Joints) -> Pose:
-        """Refuse."""
-        raise ValueError(NO_TURNS)
-
-    def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> CommandedMotion:
-        """Refuse."""
-        raise ValueError(NO_TURNS)
-
-    def move_joints(self, target_rad: Joints, speed_rad_s: float) -> CommandedMotion:
-        """Refuse."""
-        raise ValueError(NO_TURNS)
 
     def press(self, command: PressCommand) -> ArmPress:
         """Press compliantly from here straight down."""
@@ -372,6 +357,18 @@ class UrArm:
         """Brake and stand still, ready for the next motion."""
         with self._lock:
             self._core.halt()
+
+    def retreat(self) -> None:
+        """Draw back from what the arm touches, from the next cycle on; what cannot move is stopped.
+
+        Waits for no lock: the thread of the cycles may hold it while the robot is slow to answer.
+        """
+        if self.state is not DeviceState.READY or self._script_ended or self._stop_asked.is_set():
+            self.stop()
+            return
+        self._retreat_asked.set()
+        if (program := self._core.program) is not None:
+            program.motion.end(STOPPED)
 
     def stop(self) -> None:
         """Stop on a connection of its own; in every state, from any thread, waiting for nothing."""

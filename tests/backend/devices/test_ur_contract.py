@@ -17,7 +17,7 @@ from backend.devices.sim.bench import SimulatedBench
 from backend.devices.ur import arm as ur_arm
 from backend.devices.ur import rtde, stop_lane
 from backend.devices.ur.arm import UrArm
-from tests.backend.devices import contract_bench, test_arm_contract
+from tests.backend.devices import contract_bench, test_arm_contract, test_arm_retreat
 from tests.backend.devices.contract_bench import DevicesUnderTest
 from tests.backend.devices.ur_stand_in import UrWires, hand_leaning
 from tests.backend.devices.waiting import until
@@ -25,7 +25,7 @@ from tests.backend.devices.waiting import until
 TURNING = ("turn", "joint")
 CLAUSES = [
     clause
-    for name, clause in vars(test_arm_contract).items()
+    for name, clause in {**vars(test_arm_contract), **vars(test_arm_retreat)}.items()
     if name.startswith("test_")
     and list(inspect.signature(clause).parameters) == ["bench"]
     and not any(word in name for word in TURNING)
@@ -61,7 +61,7 @@ def test_it_keeps_the_contract_of_an_arm(clause, bench):
 
 
 def test_most_of_the_contract_is_asked():
-    assert len(CLAUSES) >= 8
+    assert len(CLAUSES) >= 10
 
 
 def test_commands_leave_from_where_the_arm_is_and_never_leap(bench, wires):
@@ -185,6 +185,37 @@ def test_a_leaning_hand_and_a_barred_place_are_refused(bench, wires):
         bench.arm.move_to(Pose(2000.0, 0.0, 100.0), 50.0)
     with pytest.raises(ValueError, match="turn"):
         bench.arm.move_to(Pose(0.0, 0.0, 60.0, 0.1, 0.0, 0.0), 50.0)
+
+
+def test_a_retreat_waits_for_no_cycle_and_is_a_stop_where_nothing_can_move(bench, wires):
+    bench.lifted_and_gripped()
+    bench.arm.jog((0.0, 0.0, -20.0), 2.0)
+    bench.rest(0.2)
+    robot = wires.robot
+    robot.hangs = threading.Event()
+    stuck = threading.Thread(target=bench.arm.cycle, args=(bench.now_s(),))
+    stuck.start()
+    # The thread of the cycles waits with the lock of the arm in its hand.
+    bench.arm.retreat()
+    assert stuck.is_alive()
+    robot.hangs.set()
+    stuck.join()
+    robot.hangs, low_mm = None, bench.arm.pose(1.0).z_mm
+    bench.rest(0.5)
+    assert robot.ended == []
+    assert 1.0 < bench.arm.pose(1.0).z_mm - low_mm < 2.6
+    bench.arm.stop()
+    assert bench.arm._lane.settle(10.0)
+    bench.rest(0.1)
+    # The script has ended: what cannot be drawn back is stopped once more.
+    sent = len(robot.commands)
+    bench.arm.retreat()
+    bench.rest(0.1)
+    assert len(robot.commands) == sent
+    bench.arm.servo(False)
+    bench.arm.retreat()
+    bench.rest(0.1)
+    assert bench.arm.fault is None
 
 
 def test_motors_go_off_and_on_over_the_dashboard(bench):

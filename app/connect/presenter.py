@@ -152,11 +152,12 @@ def row_of(line: DeviceLine, *, can: bool) -> RowLook:
     elif line.identity is not None:
         who = line.identity
         text = f"{who.maker} {who.model}, {who.serial}"
+        text += f". {line.notice}" if line.notice else ""
     order = "disconnect" if line.state == "ready" else "connect"
     words = {"disconnect": "Disconnect", "connect": "Retry" if failed else "Connect"}
     return RowLook(
         TITLES.get(line.name, line.name), line.state, tuple(marks), text,
-        line.fault is not None, order, words[order], can, EXTRA[line.needs],
+        line.fault is not None or bool(line.notice), order, words[order], can, EXTRA[line.needs],
     )  # fmt: skip
 
 

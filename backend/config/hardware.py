@@ -109,6 +109,8 @@ class MelfaSettings(Settings):
     """From the flange to the grasp pivot."""
     realtime_priority: Annotated[int, Field(ge=0, le=98)] = 50
     """SCHED_FIFO priority of the stream where the system allows it; 0: none."""
+    idle_check_s: Annotated[float, Field(ge=0, le=60)] = 5.0
+    """How long this computer's cycles are watched before the arm is switched on; 0: not at all."""
     arm_lag_ms: NonNegative = 10.0
     sensor_lag_ms: NonNegative = 16.0
     """Age of a wrench sample when it comes: adapter, line, filter."""

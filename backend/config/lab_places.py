@@ -47,10 +47,10 @@ def refuse_wrong_places(settings: HardwareSettings, kind: str, where: str) -> No
 def _places(settings: HardwareSettings) -> Iterator[tuple[str, bool]]:
     """Yield (key, whether it is a place on this computer that an emulated device can have)."""
     if settings.melfa.driver == "ur":
-        yield "ur.host", _is_loopback(settings.ur.host)
+        yield "ur.host", is_loopback(settings.ur.host)
     else:
-        yield "melfa.host", _is_loopback(settings.melfa.host)
-    yield "wsg.host", _is_loopback(settings.wsg.host)
+        yield "melfa.host", is_loopback(settings.melfa.host)
+    yield "wsg.host", is_loopback(settings.wsg.host)
     # Without an address these two are at the controller of their arm.
     if settings.ft.driver not in ("melfa", "ur") or settings.ft.address:
         yield "ft.address", _is_here(settings.ft.address)
@@ -59,7 +59,8 @@ def _places(settings: HardwareSettings) -> Iterator[tuple[str, bool]]:
     yield "gelsight.by_id", filmed or not _is_below(Path(gelsight.by_id), DEVICES)
 
 
-def _is_loopback(host: str) -> bool:
+def is_loopback(host: str) -> bool:
+    """Whether ``host`` is this computer by the address that only it can reach."""
     try:
         return ipaddress.ip_address(host.strip("[]")).is_loopback
     except ValueError:
@@ -69,7 +70,7 @@ def _is_loopback(host: str) -> bool:
 def _is_here(address: str) -> bool:
     found = URL.match(address)
     if found:
-        return _is_loopback(found["host"])
+        return is_loopback(found["host"])
     path = Path(address)
     if not path.is_absolute():
         return False

@@ -38,6 +38,9 @@ SERIAL: dict[str, Callable[[Wrench], Emulated]] = {
     "optoforce": EmulatedOptoforce,
 }
 """Wrist sensors on a serial port."""
+REHEARSED_CHECK_S = 0.5
+"""Of a bench file: an emulated arm hurts nobody, so its idle check is short."""
+
 SUFFERS = {
     **dict.fromkeys((*SERIAL, "netft", "monitor"), "force_torque"),
     "wsg": "gripper",
@@ -181,7 +184,7 @@ def melfa_tables(front: MelfaFront) -> dict[str, Mapping[str, object]]:
     """Return what a bench file says of an emulated arm."""
     told = front.settings
     return {
-        "melfa": {"host": told.host},
+        "melfa": {"host": told.host, "idle_check_s": REHEARSED_CHECK_S},
         "melfa.r3": {"port": told.r3.port, "stop_port": told.r3.stop_port},
         "melfa.mxt": {"port": told.mxt.port, "mxttout": told.mxt.mxttout},
     }

@@ -30,7 +30,8 @@ LINK_LOST = ("WSG-LINK", "CONTROL-LOST")
 class DeviceLine:
     """How one device stands: ``steps`` of ``STEPS`` are done; ``fault`` says why it failed.
 
-    ``needs``: what the operator has to do at a device that is connected ("" for nothing).
+    ``needs``: what the operator has to do at a device that is connected; ``notice``: what to know
+    of it ("" for nothing).
     """
 
     name: str
@@ -39,6 +40,7 @@ class DeviceLine:
     identity: Identity | None = None
     fault: Fault | None = None
     needs: Literal["", "home", "acknowledge"] = ""
+    notice: str = ""
 
 
 class Connection:
@@ -211,7 +213,8 @@ class Connection:
             return DeviceLine(name, "connecting", done)
         if state is DeviceState.READY:
             needs = _needs(device)
-            return DeviceLine(name, "ready", len(STEPS), device.identity, fault, needs)
+            notice = str(device.describe().get("notice", ""))
+            return DeviceLine(name, "ready", len(STEPS), device.identity, fault, needs, notice)
         if name in self._waiting:
             return DeviceLine(name, "waiting", 0)
         if state is DeviceState.FAULT:

@@ -118,7 +118,8 @@ def line_text(line: DeviceLine) -> str:
     who = line.identity
     named = "" if who is None else f", {who.maker} {who.model}, {who.serial}".replace(",  ", ", ")
     needs = f", needs: {line.needs}" if line.needs else ""
-    return f"{line.name}: {line.state}{named}{needs}"
+    notice = f". {line.notice}" if line.notice else ""
+    return f"{line.name}: {line.state}{named}{needs}{notice}"
 
 
 def require_usable(connection: Connection) -> None:

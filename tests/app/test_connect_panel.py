@@ -64,6 +64,11 @@ def test_each_kind_of_bench_has_its_own_words(bench, mode, banner, striped, note
     assert ("EMULATED" in words.title) is (mode == "emulated")
 
 
+def test_what_is_to_be_known_of_a_device_stands_in_its_row_though_it_is_ready():
+    look = row_of(DeviceLine("arm", "ready", 4, WHO, notice="It came late."), can=True)
+    assert (look.text, look.bad) == ("Maker Model, 7. It came late.", True)
+
+
 @pytest.mark.parametrize(
     ("line", "marks", "label"),
     [

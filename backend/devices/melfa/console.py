@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 
 from backend.config.hardware import MelfaSettings
 from backend.core.faults import FaultError
+from backend.devices.melfa.idle_check import notice_of_idle_check
 from backend.devices.melfa.link_faults import (
     controller_fault,
     link_fault,
@@ -44,6 +45,8 @@ class Console:
         self._wires, self._settings, self._cancelled = wires, settings, cancelled
         self.unlimited = False
         """Whether the controller would wait for packets for ever, and that was allowed."""
+        self.notice = ""
+        """What the operator should know of this connection; "" for nothing."""
 
     def ask(self, command: str, argument: str = "", timeout_s: float = ANSWER_S) -> str:
         """Send one request and return its answer."""
@@ -64,6 +67,7 @@ class Console:
             reached("identify")
             self._require_no_error()
             self._require_time_limit()
+            self.notice = notice_of_idle_check(self._wires, self._settings, self._cancelled)
             self._go_on()
             self.servo_on()
             self._go_on()

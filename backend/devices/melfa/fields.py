@@ -79,4 +79,5 @@ def raw_fields(
         "latest_ms": 1e3 * times.latest_s,
         "realtime": "yes" if times.realtime else "no",
         "time_limit": "none" if console.unlimited else "set",
+        **({"notice": console.notice} if console.notice else {}),
     }

@@ -89,6 +89,18 @@ def unlimited_fault() -> Fault:
     )
 
 
+def starved_fault(gap_s: float, watched_s: float) -> Fault:
+    """Return the fault of a computer that does not keep the time of a stream."""
+    return Fault(
+        "RIG-STARVED",
+        f"This computer left the arm without a cycle for {1e3 * gap_s:.0f} ms, watched for "
+        f"{watched_s:g} s before the stream was opened.",
+        NOTHING_MOVED,
+        "End what else keeps it busy, or allow real-time priority; then connect the arm again.",
+        ARM,
+    )
+
+
 def other_arm_fault(found: str, wanted: str) -> Fault:
     """Return the fault of another robot type at this address."""
     return Fault(

@@ -43,6 +43,7 @@ class SocketWires:
     def __init__(self, settings: MelfaSettings, now_s: Callable[[], float]) -> None:
         self._settings, self._now_s = settings, now_s
         self.times = CycleTimes()
+        self._anew = threading.Event()
         self._stop = threading.Event()
         self._threads: list[threading.Thread] = []
         self._client = R3Client(1e-3 * settings.r3.reply_gap_ms)
@@ -110,6 +111,11 @@ class SocketWires:
         """Wait until the ticket has ended; it gives up by itself."""
         ticket.wait(FINISH_S)
 
+    def watch_anew(self) -> None:
+        """Count ``times`` from the next cycle on."""
+        self.times = CycleTimes(realtime=self.times.realtime)
+        self._anew.set()
+
     def pause(self, seconds: float) -> None:
         """Let time pass; ends early when the wires close."""
         self._stop.wait(seconds)
@@ -170,15 +176,14 @@ class SocketWires:
     def _keep_time(self, wire: socket.socket, cycle: Cycle) -> None:
         realtime = prefer(self._settings.realtime_priority)
         deadline_s = time.monotonic() + CYCLE_S
-        wakes = late = 0
-        latest_s = 0.0
+        self.times = times = CycleTimes(realtime=realtime)
         while not self._stop.is_set():
             came = _drain_until(wire, deadline_s)
             over_s = time.monotonic() - deadline_s
-            wakes += 1
-            late += over_s > CYCLE_S
-            latest_s = max(latest_s, over_s)
-            self.times = CycleTimes(wakes, late, latest_s, realtime)
+            if self._anew.is_set():
+                times = CycleTimes(realtime=realtime)
+                self._anew.clear()
+            self.times = times = times.after(over_s)
             packet = cycle(self._now_s(), tuple(came))
             if packet is not None:
                 # A full buffer or an absent host is a lost packet: the ladder counts it.

@@ -8,6 +8,7 @@ from typing import Protocol
 
 from backend.core.faults import Fault
 from backend.devices.melfa.r3_client import Ticket
+from backend.wire.melfa_joints import CYCLE_S
 from backend.wire.melfa_r3 import Request
 
 Cycle = Callable[[float, tuple[bytes, ...]], bytes | None]
@@ -25,6 +26,11 @@ class CycleTimes:
     late: int = 0
     latest_s: float = 0.0
     realtime: bool = False
+
+    def after(self, over_s: float) -> CycleTimes:
+        """Return them after one more wake-up, so much after its deadline."""
+        late = self.late + (over_s > CYCLE_S)
+        return CycleTimes(self.wakes + 1, late, max(self.latest_s, over_s), self.realtime)
 
 
 class Wires(Protocol):
@@ -48,6 +54,9 @@ class Wires(Protocol):
 
     def finish(self, ticket: Ticket) -> None:
         """Wait until the ticket has ended."""
+
+    def watch_anew(self) -> None:
+        """Count ``times`` from now on."""
 
     def pause(self, seconds: float) -> None:
         """Let time pass between two questions."""

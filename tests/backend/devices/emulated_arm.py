@@ -35,6 +35,7 @@ def settings(**more: object) -> MelfaSettings:
         "servo_delay_s": 0.3,
         "realtime_priority": 0,
         "sensor_lag_ms": 0.0,
+        "idle_check_s": 0.0,
         "mxt": {"mxttout": 57},
         **more,
     }
@@ -85,6 +86,7 @@ class SteppedWires:
         self.stalled = False
         """The driver itself is stopped, as by a signal; the controller is not."""
         self.stops = 0
+        self._late_us = 0
         self._next_us = self.clock.now_us + CYCLE_US
         self._came: tuple[bytes, ...] = ()
         self._cycle: Cycle | None = None
@@ -111,6 +113,9 @@ class SteppedWires:
 
     def pause(self, seconds: float) -> None:
         self.advance(round(seconds * 1e6))
+
+    def watch_anew(self) -> None:
+        self.times, self._late_us = CycleTimes(), 0
 
     def pace(self, running: bool) -> None:
         self._client.paced = running
@@ -143,7 +148,9 @@ class SteppedWires:
     def _one_cycle(self, now_s: float) -> None:
         self.device.controller.advance(now_s)
         if self._cycle is None or self.stalled:
+            self._late_us += CYCLE_US
             return
+        self.times, self._late_us = self.times.after(1e-6 * self._late_us), 0
         try:
             self._out = self._client.step(now_s, self._session.receive(now_s, self._out))
         except FaultError as error:

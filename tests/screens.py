@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -46,8 +45,6 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--scale", default="1", help="device pixels per pixel: 1, 1.25, 1.5, 2")
     parser.add_argument("--only", default="", help="states whose name begins so")
     args = parser.parse_args(argv)
-    if len(args.themes) > 1:
-        return max(_of_its_own(args, theme) for theme in args.themes)
     os.environ["QT_SCALE_FACTOR"] = args.scale
     with tempfile.TemporaryDirectory() as folder:
         for name in ("TOUCHDOWN_DATA", "TOUCHDOWN_CONFIG"):
@@ -55,13 +52,6 @@ def main(argv: list[str]) -> int:
         if os.environ["QT_QPA_PLATFORM"] == "offscreen":
             _use_large_screen(Path(folder) / "screen.json")
         return _render(args, Path(folder))
-
-
-def _of_its_own(args: argparse.Namespace, theme: str) -> int:
-    """Render one theme in a process of its own: a window after another keeps parts of its look."""
-    rest = ["--themes", theme, "--out", str(args.out), "--scale", args.scale, "--only", args.only]
-    command = [sys.executable, "-m", "tests.screens", *rest, "--sizes", *args.sizes]
-    return subprocess.run(command, check=False).returncode
 
 
 def _use_large_screen(file: Path) -> None:

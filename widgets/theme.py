@@ -130,6 +130,10 @@ class Theme:
         sheet = style_sheet(self.tokens.as_dict(), BASE_POINTS * self.scale)
         dressed = application if window is None else window
         if sheet != dressed.styleSheet():
+            if window is not None and window.styleSheet():
+                # Beside another window, what is laid out before the first showing keeps the rules
+                # of the first sheet: Qt forgets them for polished widgets alone.
+                window.ensurePolished()
             # Qt takes five times as long to put one sheet in the place of another.
             dressed.setStyleSheet("")
             dressed.setStyleSheet(sheet)

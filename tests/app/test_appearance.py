@@ -4,9 +4,12 @@ from types import SimpleNamespace
 
 import pytest
 from PySide6.QtCore import QObject, Qt
+from PySide6.QtGui import QColor
+from PySide6.QtWidgets import QFrame, QVBoxLayout, QWidget
 
 from app import appearance
 from app.appearance import CHOICES, Appearance, system_theme
+from widgets.theme import DARK, LIGHT, Theme
 
 SCHEME, WISH = Qt.ColorScheme, getattr(Qt, "ContrastPreference", None)
 
@@ -56,3 +59,29 @@ def test_a_desktop_that_changes_is_followed_only_if_that_is_chosen(look, qapp, m
     look.show("dark", 1.0)
     qapp.styleHints().colorSchemeChanged.emit(SCHEME.Light)
     assert look.theme.tokens.name == "dark"
+
+
+def window_with_rail(qtbot):
+    window = QWidget()
+    qtbot.addWidget(window)
+    rail = QFrame()
+    rail.setProperty("role", "rail")
+    rail.setFixedSize(20, 20)
+    QVBoxLayout(window).addWidget(rail)
+    return window, rail
+
+
+def test_a_second_window_takes_all_of_its_last_theme_before_it_shows(qapp, qtbot, look):
+    """Beside a first one Qt kept the rules of the earlier sheet for what had been laid out."""
+    first, _ = window_with_rail(qtbot)
+    theme = Theme()
+    theme.apply(qapp, "dark", 1.0, first)
+    first.show()
+    second, rail = window_with_rail(qtbot)
+    for name in ("dark", "light"):
+        theme.apply(qapp, name, 1.0, second)
+        rail.ensurePolished()
+        rail.sizeHint()
+    second.show()
+    seen = rail.grab().toImage().pixelColor(5, 5)
+    assert seen == QColor(LIGHT.panel) != QColor(DARK.panel)

@@ -6,7 +6,7 @@ interrupted experiment goes on where it stopped and a table can be read at any t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil
 from typing import Any, get_args
@@ -26,6 +26,7 @@ from backend.experiments.closed_loop import (
     pick_and_place_in_lockstep,
     stack_in_lockstep,
 )
+from backend.experiments.formats import BEYOND_FORMAT
 from backend.experiments.given_models import load_model
 from backend.experiments.models import batch_model
 from backend.experiments.recipes import CELL_SEEDS, PIECES, STACKING_SEED
@@ -48,7 +49,7 @@ from backend.placement.strategy import XY, Reasoner
 from backend.sensing.episode import EpisodeLimits
 from backend.simulation.scene import Scene
 
-FORMAT = "touchdown-beyond/2"
+FORMAT = BEYOND_FORMAT
 SINGLE = ("short", "long", "hex20", "rect12x28")
 """The first two are those of the tables, with the same seeds."""
 TOWERS = ("short+long", "short+hex20", "short+rect12x28")
@@ -117,6 +118,7 @@ class Beyond:
     def table(self, store: JobStore) -> Json:
         """Return the counts of all finished trials, by cell and pooled by strategy."""
         cells, left_out = self.trials_of(store), self.left_out(store)
+        traces = traces_of(self.jobs(), store)
         return {
             "format": FORMAT,
             "bench_sha256": bench_sha256(self.bench),
@@ -129,6 +131,7 @@ class Beyond:
                     "bottom": bottom,
                     **counted(trials),
                     "left_out": left_out[s, piece, bottom],
+                    **traces[s, piece, bottom],
                 }
                 for (s, piece, bottom), trials in cells.items()
             ],
@@ -163,6 +166,18 @@ class Beyond:
             params["entry_sigma_mm"] = self.entry_sigma_mm
         seed = STACKING_SEED + CELL_SEEDS * cell + first
         return JobSpec("beyond", params, seed, (source,) if source else (), self.code)
+
+
+def traces_of(jobs: Iterable[JobSpec], store: JobStore) -> dict[tuple[str, str, str], Json]:
+    """Return the first seed and the finished jobs of each cell: strategy, piece, bottom."""
+    found: dict[tuple[str, str, str], Json] = {}
+    for spec in jobs:
+        p = spec.params
+        cell = p["strategy"], p["piece"], p["bottom"]
+        trace = found.setdefault(cell, {"seed": spec.seed, "jobs": []})
+        if store.has(spec.id):
+            trace["jobs"].append(spec.id)
+    return found
 
 
 def _of(

@@ -55,7 +55,7 @@ def _charts(answer: Mapping[str, Any]) -> str:
         reliability_chart(
             chart["promised"],
             chart["came"],
-            html.escape(pooled["strategy"]),
+            pooled["strategy"],
             f"n = {n}, ECE {chart['ece']:.3f}",
         )
         for pooled in answer.get("statics", {}).get("pooled", ())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from html import escape
 
 import cv2
 import numpy as np
@@ -12,7 +13,9 @@ from backend.core.flow import FloatArray
 
 SIDE = 220
 PAD = 34
-INK, FAINT, BLUE, ORANGE = "#1B2127", "#C9D0D7", "#005FCC", "#C04A00"
+INK, FAINT = "#1B2127", "#C9D0D7"
+BLUE, ORANGE, VIOLET = "#005FCC", "#C04A00", "#3A0D3F"
+"""Of lines and marks: x, y, z where there are three."""
 
 
 def scatter(
@@ -75,7 +78,7 @@ def twin_traces(first: FloatArray, second: FloatArray, title: str, unit: str) ->
     top = max(float(np.abs(first).max()), float(np.abs(second).max()), 1e-9)
     lines = []
     for values, dash in ((first, ""), (second, ' stroke-dasharray="3 3"')):
-        for axis, colour in enumerate((BLUE, ORANGE, "#3A0D3F")):
+        for axis, colour in enumerate((BLUE, ORANGE, VIOLET)):
             points = " ".join(
                 f"{_unit(k / (len(values) - 1)):.1f},{_unit(0.5 - 0.5 * v / top):.1f}"
                 for k, v in enumerate(values[:, axis])
@@ -97,14 +100,14 @@ def _unit(share: float) -> float:
 def _text(x: float, y: float, words: str) -> str:
     return (
         f'<text x="{x:.0f}" y="{y:.0f}" font-size="10" text-anchor="middle" '
-        f'fill="{INK}">{words}</text>'
+        f'fill="{INK}">{escape(words)}</text>'
     )
 
 
 def _frame(title: str, inside: str) -> str:
     return (
         f'<svg viewBox="0 0 {SIDE} {SIDE}" width="{SIDE}" height="{SIDE}" role="img" '
-        f'aria-label="{title}">{_text(SIDE / 2, 16, title)}{inside}</svg>'
+        f'aria-label="{escape(title)}">{_text(SIDE / 2, 16, title)}{inside}</svg>'
     )
 
 

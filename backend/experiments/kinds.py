@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
@@ -23,7 +24,7 @@ from backend.experiments.beyond import beyond
 from backend.experiments.closed_loop import pick_and_place_in_lockstep, stack_in_lockstep
 from backend.experiments.collection import jobs_of, metadata_of, rows_of
 from backend.experiments.distribution import find_twins, held, largest_marker_px
-from backend.experiments.film import FILM, film_strip
+from backend.experiments.film import FILM, film_of
 from backend.experiments.fused import FUSED_KINDS
 from backend.experiments.given_models import WEIGHTS, load_model
 from backend.experiments.models import batch_model
@@ -188,8 +189,8 @@ def stack(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
         answer["weights_sha256"] = checkpoint.card.weights_sha256
         ends = stack_in_lockstep(scenes, batch_model(checkpoint, case.piece), settings, limits)
         outline = case.bottoms[-1].face.polygon()
-        films = [film_strip(end, outline) for end in ends[:FILMS]]
-        (place.folder / FILM).write_text("".join(films), encoding="utf-8")
+        films = [film_of(end, outline) for end in ends[:FILMS]]
+        (place.folder / FILM).write_text(json.dumps(films), encoding="utf-8")
     return {**answer, "trials": [end.as_json() for end in ends]}
 
 

@@ -18,7 +18,7 @@ from backend.config.load import parse
 from backend.config.method import StackSettings
 from backend.config.simulation import SimulationSettings
 from backend.core.flow import BeliefMap, ContactPatch, FloatArray
-from backend.experiments.beyond import CEILINGS, SINGLE, knowing, no_model
+from backend.experiments.beyond import CEILINGS, SINGLE, knowing, no_model, traces_of
 from backend.experiments.calibration import reliability
 from backend.experiments.closed_loop import Model
 from backend.experiments.given_models import load_model
@@ -87,13 +87,19 @@ class Promises:
 
     def table(self, store: JobStore) -> Json:
         """Return the scores of every cell, and pooled by strategy."""
-        cells = self.answers(store)
+        cells, traces = self.answers(store), traces_of(self.jobs(), store)
         pooled = {
             s: [a for k, v in cells.items() if k[0] == s for a in v.values()] for s, *_ in cells
         }
         return {
             "cells": [
-                {"strategy": s, "piece": p, "bottom": b, **scores(list(answers.values()))}
+                {
+                    "strategy": s,
+                    "piece": p,
+                    "bottom": b,
+                    **scores(list(answers.values())),
+                    **traces[s, p, b],
+                }
                 for (s, p, b), answers in cells.items()
             ],
             "pooled": [{"strategy": s, **scores(answers)} for s, answers in pooled.items()],

@@ -7,13 +7,13 @@ from typing import Any
 
 from backend.core.flow import Outcome
 from backend.experiments import paper
+from backend.experiments.formats import TABLES_FORMAT
 from backend.experiments.recipes import BOTTOMS, MODELS, PIECES, TWO, Recipe
 from backend.experiments.statistics import Binary, mean, rate
 from backend.jobs.spec import JobSpec
 from backend.jobs.store import JobStore
 from backend.objects.tower import TOO_CLOSE_MM
 
-FORMAT = "touchdown-tables/1"
 PATCH_MODELS = tuple(name for name, _, head in MODELS if head == "patch")
 OURS = "FT+Tac"
 UNSAFE = (Outcome.FELL.value, Outcome.KNOCKED_OVER.value)
@@ -23,7 +23,7 @@ Json = dict[str, Any]
 def tables(recipe: Recipe, store: JobStore) -> Json:
     """Return everything that is finished; a cell whose job is missing is null."""
     return {
-        "format": FORMAT,
+        "format": TABLES_FORMAT,
         "scale": recipe.scale.name,
         "code": recipe.code,
         "bench": recipe.bench.model_dump(mode="json"),

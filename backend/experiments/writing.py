@@ -3,37 +3,63 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from backend.core.faults import InputError
 from backend.core.files import write_atomically
-from backend.experiments.beyond import FORMAT as BEYOND_FORMAT
-from backend.experiments.beyond_page import beyond_page, beyond_section
+from backend.experiments.beyond_page import beyond_page
 from backend.experiments.film import FILM
+from backend.experiments.reading import read_beyond, read_report
 from backend.experiments.recipes import BOTTOMS, TWO, Recipe
 from backend.experiments.tables import tables
 from backend.experiments.tables_page import tables_page
+from backend.experiments.tables_report import report_of
 from backend.jobs.store import JobStore
 
 PAGE, DATA = "tables.html", "tables.json"
 BEYOND_PAGE, BEYOND_DATA = "beyond.html", "beyond.json"
+Json = dict[str, Any]
 
 
-def write_tables(out: Path, recipe: Recipe, store: JobStore) -> tuple[Path, dict[str, Any]]:
+def write_tables(out: Path, recipe: Recipe, store: JobStore) -> tuple[Path, Json]:
     """Write what is finished to ``out``; returns the page's path and the content of the JSON."""
     found = tables(recipe, store)
     spec = recipe.twins()
     twins = store.result(spec.id) if store.has(spec.id) else None
+    found["figures"] = {"twins": twins, "films": _films(recipe, store)}
     compared = compared_beside(out, found["bench_sha256"])
     if compared is not None:
-        found["beyond"] = compared
-    more = "" if compared is None else beyond_section(compared)
-    page = tables_page(found, twins, _films(recipe, store), more)
-    write_atomically(out / PAGE, page.encode())
-    write_atomically(out / DATA, json.dumps(found, indent=1, sort_keys=True).encode() + b"\n")
-    return out / PAGE, found
+        found["beyond"] = [compared]
+    return _written(out / DATA, found), found
+
+
+def rewrite_tables(file: Path, compared: Sequence[Path]) -> Path:
+    """Give a ``tables.json`` other comparisons, and write its page anew; returns the page's path.
+
+    Without ``compared`` it keeps those that it has. Raises ``InputError`` for a file that holds
+    something else, or a comparison on another bench.
+    """
+    found = dict(read_report(file)[0])
+    answers = []
+    for path in compared:
+        answer = read_beyond(path)
+        if answer["bench_sha256"] != found["bench_sha256"]:
+            raise InputError("It was made on another bench.", str(path), f"Leave it out of {file}.")
+        answers.append(answer)
+    if answers:
+        found["beyond"] = answers
+    return _written(file, found)
+
+
+def _written(file: Path, found: Json) -> Path:
+    """Write the page beside ``file``, then the file; returns the page's path."""
+    page = file.with_suffix(".html")
+    write_atomically(page, tables_page(report_of(found)).encode())
+    write_atomically(file, json.dumps(found, indent=1, sort_keys=True).encode() + b"\n")
+    return page
 
 
 def write_beyond(out: Path, answer: Mapping[str, Any]) -> Path:
@@ -44,14 +70,15 @@ def write_beyond(out: Path, answer: Mapping[str, Any]) -> Path:
     return out / BEYOND_DATA
 
 
-def compared_beside(out: Path, bench_id: str) -> dict[str, Any] | None:
-    """Return the comparison that lies beside the tables, if it is of the same bench."""
-    try:
-        answer = json.loads((out / BEYOND_DATA).read_text("utf-8"))
-    except FileNotFoundError:
+def compared_beside(out: Path, bench_id: str) -> Json | None:
+    """Return the comparison that lies beside the tables, if it is of the same bench.
+
+    Raises ``InputError`` for a damaged one.
+    """
+    if not (out / BEYOND_DATA).exists():
         return None
-    same = answer.get("format") == BEYOND_FORMAT and answer.get("bench_sha256") == bench_id
-    return dict(answer) if same else None
+    answer = read_beyond(out / BEYOND_DATA)
+    return answer if answer["bench_sha256"] == bench_id else None
 
 
 def program_version() -> str:
@@ -62,8 +89,8 @@ def program_version() -> str:
         return "source tree"
 
 
-def _films(recipe: Recipe, store: JobStore) -> list[tuple[str, str]]:
-    """Return title and strip of the first trials of each piece on one bottom, and on two."""
+def _films(recipe: Recipe, store: JobStore) -> list[Json]:
+    """Return the first trials of each piece on one bottom, and on two, probe by probe."""
     films = []
     for k, piece in enumerate(recipe.pieces):
         for bottoms in ((BOTTOMS[k % len(BOTTOMS)],), TWO):
@@ -72,5 +99,6 @@ def _films(recipe: Recipe, store: JobStore) -> list[tuple[str, str]]:
                 continue
             path = store.folder(spec.id) / FILM
             if path.is_file():
-                films.append((f"{piece.title()} on {' + '.join(bottoms)}", path.read_text("utf-8")))
+                title = f"{piece.title()} on {' + '.join(bottoms)}"
+                films += [{"title": title, **film} for film in json.loads(path.read_bytes())]
     return films

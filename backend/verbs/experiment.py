@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.table import Table
 
 from backend.core.faults import InputError
 from backend.verbs.experiment_asked import ASKED, add_asked_arguments, ask
 from backend.verbs.experiment_fused import add_fused_arguments, train_fused
+from backend.verbs.experiment_report import (
+    add_report_arguments,
+    compare,
+    tables_to_compare,
+    write_anew,
+)
 from backend.verbs.screen import Screen
 
 if TYPE_CHECKING:
@@ -33,10 +38,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
         "what",
-        choices=("tables", "beyond", "fused", *ASKED),
-        help="the paper's Tables I to III; strategies beyond the paper, and the ceiling; train the "
-        "network of fusion; what exists in a second simulated world; or what each nuisance of the "
-        "bench costs",
+        choices=("tables", "report", "beyond", "fused", *ASKED),
+        help="the paper's Tables I to III; their page anew, with other comparisons; strategies "
+        "beyond the paper, and the ceiling; train the network of fusion; what exists in a second "
+        "simulated world; or what each nuisance of the bench costs",
     )
     scale = parser.add_mutually_exclusive_group()
     scale.add_argument(
@@ -83,6 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_beyond_arguments(parser)
     add_asked_arguments(parser)
     add_fused_arguments(parser)
+    add_report_arguments(parser)
 
 
 def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
@@ -111,6 +117,10 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
 
     if args.workers < 1:
         raise InputError("--workers must be at least 1.", "--workers", "Give a positive number.")
+    if args.what == "report":
+        screen.result({"version": JSON_VERSION, **write_anew(args, screen)})
+        return 0
+    other = tables_to_compare(args.against)
     store = JobStore(_folder(args.out) / "jobs")
     if args.what == "beyond":
         return _run_beyond(args, screen, store)
@@ -127,8 +137,8 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         _keep(args, recipe, store, screen)
     page, answer = write_tables(args.out, recipe, store)
     screen.say(f"{len(jobs) - missing} of {len(jobs)} jobs are done: {page}")
-    if args.against:
-        _compare(answer, args.against, screen)
+    if other is not None:
+        compare(answer, other, args.against, screen)
     screen.result(
         {
             "version": JSON_VERSION,
@@ -148,22 +158,6 @@ def _keep(args: argparse.Namespace, recipe: Recipe, store: JobStore, screen: Scr
     args.keep_models.mkdir(parents=True, exist_ok=True)
     kept = keep_models(store, recipe, args.keep_models)
     screen.say(f"{len(kept)} models: {args.keep_models}")
-
-
-def _compare(answer: dict[str, Any], file: Path, screen: Screen) -> None:
-    from backend.experiments.within import within
-
-    try:
-        other = json.loads(file.read_bytes())
-        found = within(answer, other)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"There are no tables to compare with: {error}.", str(file), "Name a tables.json."
-        ) from error
-    agree = found.cells - len(found.outside)
-    screen.say(f"{agree} of {found.cells} cells agree with {file}")
-    for name in found.outside:
-        screen.say(f"  not: {name}")
 
 
 def _done(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,7 +36,7 @@ from backend.jobs.campaign import run_campaign
 from backend.jobs.executor import Serial
 from backend.jobs.running import run_job
 from backend.jobs.spec import JobSpec
-from backend.jobs.store import JobStore
+from backend.jobs.store import SPEC, JobStore
 from backend.objects.catalogue import load_catalogue
 from backend.runs.requests import SceneChoice
 
@@ -148,13 +149,11 @@ def test_a_tiny_campaign_gives_traced_tables_that_repeat(tmp_path: Path) -> None
     page = (tmp_path / "first" / PAGE).read_text("utf-8")
     assert "SIMULATED BENCH" in page
     assert "http" not in page.replace("http://www.w3.org", "")
-    cell = answers[0]["table1"][0]["cells"][0]
-    spec = JobSpec.parse(
-        (tmp_path / "first" / "jobs" / cell["job"] / "spec.json").read_text("utf-8")
-    )
-    assert spec.params["piece"] == "pot"
-    assert spec.seed == cell["seed"]
-    assert cell["n"] == TINY.groups
+    for name in ("table1", "table2", "table3"):
+        for row in answers[0][name]:
+            for cell in row["cells"]:
+                assert_traced(cell, JobStore(tmp_path / "first" / "jobs"), recipe)
+    assert answers[0]["table1"][0]["cells"][0]["n"] == TINY.groups
     methods = {row["method"]: row for row in answers[0]["table2"]}
     assert methods["Implicit"]["cells"][0]["accuracy"]["n"] <= TINY.groups
     assert "accuracy" not in methods["5"]["cells"][0]
@@ -162,6 +161,28 @@ def test_a_tiny_campaign_gives_traced_tables_that_repeat(tmp_path: Path) -> None
     assert len(kept) == len(MODELS)
     again = adopt_models(JobStore(tmp_path / "other"), tmp_path / "kept")
     assert set(again) == {("pot", name) for name, _, _ in MODELS}
+
+
+def assert_traced(cell: dict[str, Any], store: JobStore, recipe: Recipe) -> None:
+    """From the cell to its run folder: config, bench, program, seed, networks and their data."""
+
+    def spec_of(job: str) -> JobSpec:
+        spec = JobSpec.parse((store.folder(job) / SPEC).read_text("utf-8"))
+        assert (spec.id, spec.code) == (job, recipe.code)
+        return spec
+
+    spec = spec_of(cell["job"])
+    assert (spec.seed, spec.params["piece"]) == (cell["seed"], cell["piece"])
+    assert spec.params["bench"] == recipe.bench.model_dump(mode="json")
+    assert store.result(spec.id)["bench_sha256"] == recipe.bench_id()
+    blind = spec.params.get("strategy") == "pick-and-place"
+    assert bool(spec.inputs) is not blind
+    for training in spec.inputs:
+        assert len(store.result(training)["data_sha256"]) == 64
+        collected = spec_of(training).inputs
+        assert {spec_of(one).params["bottom"] for one in collected} == set(TRAINING_BOTTOMS)
+        for one in collected:
+            assert sum(1 for _ in store.folder(one).glob("*.mcap")) >= 1
 
 
 def test_quick_uses_models_that_exist_and_leaves_other_cells_empty(tmp_path: Path) -> None:

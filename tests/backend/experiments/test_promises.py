@@ -21,7 +21,8 @@ from backend.experiments.recipes import QUICK, TWO, Recipe
 from backend.experiments.scenes import Case, start_scene
 from backend.experiments.writing import compared_beside, write_beyond
 from backend.jobs.running import run_job
-from backend.jobs.store import JobStore
+from backend.jobs.spec import JobSpec
+from backend.jobs.store import SPEC, JobStore
 from backend.objects.catalogue import load_catalogue
 from backend.simulation.scene import Scene
 from backend.simulation.scoring import margin_mm
@@ -151,6 +152,10 @@ def test_a_tower_and_groups_from_end_to_end(bench_v1: SimulationSettings, store:
     (loop,), (cell,) = found["cells"], found["statics"]["cells"]
     assert loop["placed"]["n"] + loop["left_out"] == 1
     assert cell["groups"] == 2
+    for traced, kind in ((loop, "beyond"), (cell, "promises")):
+        (job,) = traced["jobs"]
+        spec = JobSpec.parse((store.folder(job) / SPEC).read_text("utf-8"))
+        assert (spec.id, spec.kind, spec.seed) == (job, kind, traced["seed"])
     assert sum(cell["reliability"]["1"]["count"]) > 2 * 100
     assert cell["reliability"]["3"]["ece"] < 1.0
     assert [len(sheet.columns) for sheet in sheets(found)] == [

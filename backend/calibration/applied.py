@@ -9,15 +9,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from backend.calibration.kinds import What
+from backend.calibration.kinds import MIRRORS, ON, What
 from backend.calibration.record import Record
 from backend.config.hardware import FingerCameraSettings, GelsightSettings
 from backend.core.faults import RefusedError
 from backend.core.flow import FINGERS, FloatArray
-
-MIRRORS = ("none", "x", "y", "both")
-"""By their code: 1 for x, 2 for y."""
-ON = " on "
 
 
 @dataclass(frozen=True, slots=True)

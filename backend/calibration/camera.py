@@ -14,8 +14,8 @@ from typing import Literal
 
 import numpy as np
 
-from backend.calibration.applied import MIRRORS
 from backend.calibration.estimate import Estimate, Quantity, Solution, rms, solve
+from backend.calibration.kinds import MIRRORS
 from backend.core.faults import RefusedError
 from backend.core.flow import FINGERS, GRID_COLS, GRID_ROWS, MARKERS, Finger, FloatArray
 

@@ -12,11 +12,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
 
-from backend.calibration.kinds import What
+from backend.calibration.kinds import KINDS, MIRRORS, ON, What
 from backend.config.method import Settings
 from backend.core.faults import InputError
 
 VERSION = 1
+MOST_CHARACTERS = 1_000_000
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Mode = Literal["simulated", "emulated", "hardware"]
 
@@ -108,10 +109,10 @@ def _content(file: CalibrationFile) -> dict[str, object]:
 def read_record(path: Path) -> Record:
     """Read a calibration; raises ``InputError`` if it is damaged, changed or of a newer version."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(_text(path))
         given = content.pop("sha256")
         file = CalibrationFile.model_validate(content)
-    except (OSError, ValueError, KeyError, AttributeError, TypeError) as error:
+    except (OSError, ValueError, KeyError, AttributeError, TypeError, RecursionError) as error:
         raise InputError(
             f"This is no calibration of version {VERSION}: {_first(error)}.",
             str(path),
@@ -125,7 +126,32 @@ def read_record(path: Path) -> Record:
         )
     if file.date.tzinfo is None or file.date.utcoffset() != datetime.now(UTC).utcoffset():
         raise InputError("The date of the calibration is not UTC.", str(path), "Calibrate again.")
+    if flaw := _flaw(file):
+        raise InputError(flaw, str(path), "Calibrate again; the damaged file can be deleted.")
     return Record(file, given)
+
+
+def _text(path: Path) -> str:
+    with path.open(encoding="utf-8") as file:
+        text = file.read(MOST_CHARACTERS + 1)
+    if len(text) > MOST_CHARACTERS:
+        raise ValueError(f"it is longer than {MOST_CHARACTERS} characters")
+    return text
+
+
+def _flaw(file: CalibrationFile) -> str:
+    """Return what keeps a well-formed file from being applied, "" if nothing does."""
+    for name in KINDS[file.what].values:
+        if name not in file.values:
+            return f"The calibration lacks '{name}'."
+        if name.endswith("_mm_px") and not file.values[name].value > 0:
+            return f"The calibration has no scale above zero: '{name}'."
+    for name in ("left_mirror", "right_mirror"):
+        if name in file.values and file.values[name].value not in range(len(MIRRORS)):
+            return f"The calibration knows no such mirror: '{name}'."
+    if file.about and len(file.about.split(ON)) != 2:
+        return "The calibration does not say which piece was on which bottom."
+    return ""
 
 
 def _first(error: Exception) -> str:

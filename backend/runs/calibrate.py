@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from backend.calibration.applied import ON
 from backend.calibration.estimate import Estimate
-from backend.calibration.kinds import What
+from backend.calibration.kinds import ON, What
 from backend.core.facts import RunFinished, RunStarted
 from backend.runs.bench import Bench
 from backend.runs.calibrate_board import measure_board

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from backend.calibration.applied import MIRRORS, refuse_other_bottom
-from backend.calibration.kinds import What
+from backend.calibration.applied import refuse_other_bottom
+from backend.calibration.kinds import MIRRORS, What
 from backend.calibration.record import DeviceName, Record
 from backend.calibration.store import CalibrationStore
 from backend.config.bench_facts import BenchMode

@@ -22,7 +22,8 @@ from tests.app.conftest import settle
 
 GOOD = CalibrationMeasured(
     0.0, "payload",
-    names=("mass_kg", "com_x_mm"), values=(1.502, -0.3), sigmas=(0.004, 0.15), units=("kg", "mm"),
+    names=("mass_kg", "com_x_mm", "com_y_mm"), values=(1.502, -0.3, 0.1),
+    sigmas=(0.004, 0.15, 0.15), units=("kg", "mm", "mm"),
     residuals=(0.01, 0.02, 0.015, 0.01, 0.02, 0.012), residual=0.02, limit=0.3, unit="N",
     note="The hand stayed level.", obstacle="",
 )  # fmt: skip

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backend.calibration.applied import MIRRORS
 from backend.calibration.camera import (
     DOT_SIGMA_PX,
     SIDES,
@@ -15,6 +14,7 @@ from backend.calibration.camera import (
     fit_lattice,
     image_motion,
 )
+from backend.calibration.kinds import MIRRORS
 from backend.core.faults import RefusedError
 from backend.simulation.gel import build_gel
 

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from backend.calibration.applied import NOWHERE, placed_by
 from backend.calibration.estimate import Estimate, Quantity
+from backend.calibration.kinds import KINDS, WHATS, What
 from backend.calibration.record import DeviceName, read_record
 from backend.calibration.store import CalibrationStore
+from backend.core.facts import CalibrationMeasured
 from backend.core.faults import InputError, RefusedError
+from backend.runs.calibrated import payload_of
 
 NOW = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)
 DEVICES = {
@@ -22,8 +29,12 @@ DEVICES = {
     "arm": DeviceName(maker="A", model="Arm", serial="A1"),
 }
 ESTIMATE = Estimate(
-    (Quantity("mass_kg", 1.5, 0.01, "kg"),),
-    np.eye(1),
+    (
+        Quantity("mass_kg", 1.5, 0.01, "kg"),
+        Quantity("com_x_mm", 0.0, 0.1, "mm"),
+        Quantity("com_y_mm", 0.0, 0.1, "mm"),
+    ),
+    np.eye(3),
     np.array([0.1]),
     0.1,
     0.3,
@@ -32,6 +43,17 @@ ESTIMATE = Estimate(
 )
 
 FOUND = ESTIMATE.told(0.0, "payload")
+
+
+def of_kind(what: What) -> CalibrationMeasured:
+    """Return a result with all that is read of this kind when it is applied."""
+    names = KINDS[what].values
+    count = len(names)
+    about = "pot on short" if what == "board" else ""
+    return replace(
+        FOUND, what=what, names=names, values=count * (0.06,), sigmas=count * (0.01,),
+        units=count * ("mm",), about=about,
+    )  # fmt: skip
 
 
 @pytest.fixture
@@ -45,7 +67,8 @@ def test_the_file_tells_everything_and_names_itself(store) -> None:
     told = content.pop("sha256")
     canonical = json.dumps(content, sort_keys=True, separators=(",", ":"))
     assert told == hashlib.sha256(canonical.encode()).hexdigest()
-    assert content["values"] == {"mass_kg": {"value": 1.5, "sigma": 0.01, "unit": "kg"}}
+    assert content["values"]["mass_kg"] == {"value": 1.5, "sigma": 0.01, "unit": "kg"}
+    assert set(content["values"]) == {"mass_kg", "com_x_mm", "com_y_mm"}
     assert (content["residual"], content["limit"], content["unit"]) == (0.1, 0.3, "N")
     assert content["date"] == "2026-03-01T12:00:00Z"
     assert (content["expires_days"], content["person"], content["mode"]) == (90, "Ada", "hardware")
@@ -103,6 +126,46 @@ def test_a_changed_or_broken_file_is_said_and_not_used(store) -> None:
         assert store.standing("payload", DEVICES, NOW).condition == "damaged"
 
 
+def rewritten(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change the content of a calibration, and its hash with it."""
+    content = json.loads(path.read_text())
+    content.pop("sha256")
+    change(content)
+    canonical = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    path.write_text(
+        json.dumps({**content, "sha256": hashlib.sha256(canonical.encode()).hexdigest()})
+    )
+
+
+@pytest.mark.parametrize("what", WHATS)
+def test_what_cannot_be_applied_is_damaged_though_its_hash_fits(store, what: What) -> None:
+    path = store.accept(of_kind(what), DEVICES, now=NOW)
+    whole = path.read_text()
+    changes: list[Callable[[dict[str, Any]], object]] = [
+        *(lambda c, name=name: c["values"].pop(name) for name in KINDS[what].values),
+        lambda c: c.update(about="pot"),
+        lambda c: c.update(about="a on b on c"),
+        lambda c: c["values"].update(left_mirror={"value": 4.0, "sigma": 0.0, "unit": ""}),
+        lambda c: c["values"].update(left_mirror={"value": 0.5, "sigma": 0.0, "unit": ""}),
+    ]
+    if what == "camera":
+        changes.append(lambda c: c["values"]["left_u_mm_px"].update(value=0.0))
+    for change in changes:
+        path.write_text(whole)
+        rewritten(path, change)
+        standing = store.standing(what, DEVICES, NOW)
+        assert standing.condition == "damaged", change
+        assert path.name in standing.why
+    for text in ("[" * 100_000, whole + " " * 1_000_000, whole[:-30], ""):
+        path.write_text(text)
+        assert store.standing(what, DEVICES, NOW).condition == "damaged"
+    used = store.in_use(DEVICES, required=False, now=NOW)
+    assert placed_by(used) == NOWHERE
+    assert payload_of(store, {}) is None
+    with pytest.raises(RefusedError, match=r"CALIBRATION-(DAMAGED|MISSING)"):
+        store.in_use(DEVICES, required=True, now=NOW)
+
+
 def test_a_bench_that_needs_them_is_refused_by_name_with_the_fix(store) -> None:
     def refusal(now: datetime, devices=DEVICES) -> RefusedError:
         with pytest.raises(RefusedError) as refused:
@@ -113,7 +176,7 @@ def test_a_bench_that_needs_them_is_refused_by_name_with_the_fix(store) -> None:
     assert "touchdown calibrate payload" in refusal(NOW).detail
     assert store.in_use(DEVICES, required=False, now=NOW) == {}
     for what in ("payload", "board", "tool", "wrist", "camera"):
-        store.accept(replace(FOUND, what=what), DEVICES, now=NOW)
+        store.accept(of_kind(what), DEVICES, now=NOW)
     used = store.in_use(DEVICES, required=True, now=NOW)
     assert len({record.sha256 for record in used.values()}) == 5
     error = refusal(NOW + timedelta(2))

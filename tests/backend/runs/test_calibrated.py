@@ -11,7 +11,7 @@ import pytest
 from backend.assembly import SimulatedBenchChoice, simulated_session
 from backend.calibration.applied import seen_by
 from backend.calibration.estimate import Estimate, Quantity
-from backend.calibration.kinds import WHATS
+from backend.calibration.kinds import KINDS, WHATS
 from backend.calibration.store import CalibrationStore
 from backend.config.hardware import GelsightSettings
 from backend.core.facts import EpisodeRecorded
@@ -37,8 +37,10 @@ WEIGHED = Estimate(
         Quantity("com_y_mm", -1.0, 0.1, "mm"),
         Quantity("face_x_mm", 0.1, 0.05, "mm"),
         Quantity("face_y_mm", 0.2, 0.05, "mm"),
+        *(Quantity(name, 0.5, 0.01, "mm") for name in KINDS["board"].values),
+        *(Quantity(name, 0.06, 0.01, "mm/px") for name in KINDS["camera"].values),
     ),
-    np.eye(5), np.zeros(6), 0.05, 0.3, "N",
+    np.eye(14), np.zeros(6), 0.05, 0.3, "N",
 )  # fmt: skip
 FELT = Estimate(
     tuple(

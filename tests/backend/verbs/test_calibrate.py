@@ -23,8 +23,13 @@ from backend.verbs import calibrate
 from backend.verbs.screen import Screen
 
 GOOD = Estimate(
-    (Quantity("mass_kg", 1.5, 0.01, "kg"),), np.eye(1), np.zeros(6), 0.05, 0.3, "N", note="Level."
-).told(0.0, "payload")
+    (
+        Quantity("mass_kg", 1.5, 0.01, "kg"),
+        Quantity("com_x_mm", 0.0, 0.1, "mm"),
+        Quantity("com_y_mm", 0.0, 0.1, "mm"),
+    ),
+    np.eye(3), np.zeros(6), 0.05, 0.3, "N", note="Level.",
+).told(0.0, "payload")  # fmt: skip
 
 
 class Bench:

@@ -56,6 +56,7 @@ class ReviewIntents:
     picture: Callable[[], None]
     table: Callable[[], None]
     report: Callable[[], None]
+    experiments: Callable[[], None]
     viewer: Callable[[], None]
 
 
@@ -87,7 +88,7 @@ class ReviewPage(QWidget):
         self.trials = QuietList("Trials of the run")
         self.story = QuietList("What happened")
         self.kind, self.order, self.filter = QComboBox(), QComboBox(), QLineEdit()
-        self.refresh = QToolButton()
+        self.refresh, self.experiments = QToolButton(), QToolButton()
         self.empty = label("", "muted", wrap=True)
         self.belief, self.legend = BeliefView(theme), BeliefLegend(theme)
         # At the least size of the window the strip below has two lines to a map.
@@ -146,6 +147,11 @@ class ReviewPage(QWidget):
         for button in self.filter.findChildren(QToolButton):
             button.setAccessibleName("Clear the filter")
             button.setToolTip("Clear the filter")
+        self.experiments.setText("Report")
+        self.experiments.setProperty("role", "plain")
+        self.experiments.setAccessibleName("Open a report of experiments")
+        self.experiments.setToolTip("Open a report of experiments (Ctrl+Shift+O)")
+        self.experiments.clicked.connect(self._intents.experiments)
         self.refresh.setText("Refresh")
         self.refresh.setProperty("role", "plain")
         self.refresh.setAccessibleName("Look for new recordings")
@@ -169,6 +175,7 @@ class ReviewPage(QWidget):
         runs.column.addWidget(self.filter)
         runs.column.addWidget(self.runs, 1)
         runs.column.addWidget(self.empty)
+        runs.header.addWidget(self.experiments)
         runs.header.addWidget(self.refresh)
         self.trials_panel = Panel("Trials", self.trials)
         left = _column((runs, 3), (self.trials_panel, 2), (self.score, 0))

@@ -6,22 +6,22 @@ from collections.abc import Callable
 from pathlib import Path
 
 from app.label.commits import Commits
-from app.review.collection import Collection, collection_of
+from app.review.collection import Collection
 from app.review.exports import table_of
 from app.review.library import Library
 from app.review.page import ReviewPage
 from app.review.picture import episode_caption, trial_caption
+from app.review.reading import Reading, ReadRun
 from app.review.recorded import Recorded, read_recorded
 from app.review.recordings import Recordings
 from app.review.replay import Replay
 from app.review.run_lines import activity_words
 from app.review.stored import Series, StoredEpisode
-from app.review.timed import TimedTrial, trials_of
+from app.review.timed import TimedTrial
 from app.run_story import RunStory, TrialStory
 from app.tally import score_of
-from backend.core.facts import Fact
 from backend.core.faults import InputError
-from backend.runs.journal import NAME, read_journal
+from backend.runs.journal import NAME
 from widgets.decision_panel import DecisionText
 from widgets.fault_cards import CardText, FaultCards
 from widgets.score_panel import WORDS
@@ -53,6 +53,9 @@ class ReviewPresenter:
         self.caption = ""
         """Which run, pair, trial and seed, or which episode, is shown."""
         self._asked = 0
+        self._reading: Reading | None = None
+        self._said = ""
+        """How far a long reading was when it was last shown."""
         page.refresh.clicked.connect(self.recordings.refresh)
         page.trials.currentRowChanged.connect(self._choose_part)
         page.decision.show_text(DecisionText("No run chosen", "", "", "Choose a recording."))
@@ -70,27 +73,70 @@ class ReviewPresenter:
 
     # -- one recording ----------------------------------------------------------------------------
 
-    def open(self, run: Path) -> bool:
-        """Read a run and show its last trial; a bad journal becomes a card."""
-        story, facts = RunStory(), list[Fact]()
-        try:
-            for fact in read_journal(run):
-                story.take(fact)
-                facts.append(fact)
-        except (InputError, OSError) as error:
-            what = error.what if isinstance(error, InputError) else str(error)
-            self._card(f"The run could not be read: {what}", f"In {run}.")
-            return False
-        self.story, self._run = story, run
-        collection = collection_of(facts)
-        if collection is not None:
-            self._open_collection(collection)
-            return True
-        self.timed, self._episodes, self._told = trials_of(facts), [], []
+    @property
+    def reading(self) -> bool:
+        """Whether the chosen run is still being read."""
+        return self._reading is not None
+
+    def open(self, run: Path) -> None:
+        """Have a run read and its last trial shown; a bad journal becomes a card."""
+        self._drop_reading()
+        reading = self._reading = Reading(run)
+        self._page.trials_panel.detail.setText("reading")
+
+        def done(read: ReadRun | None) -> None:
+            if reading is self._reading and read is not None:
+                self._drop_reading()
+                self._take_run(read)
+
+        def failed(error: Exception) -> None:
+            if reading is self._reading:
+                self.cancel_reading()
+                what = error.what if isinstance(error, InputError) else str(error)
+                self._card(f"The run could not be read: {what}", f"In {run}.")
+
+        self._reader.submit(reading.read, done, failed)
+
+    def draw(self) -> None:
+        """Show how far a long reading is."""
+        said = "" if self._reading is None else self._reading.progress()
+        if said and said != self._said:
+            if not self._said:
+                self._forget()
+            self._said = said
+            self._page.decision.show_text(DecisionText("Reading the run", "", "", said))
+
+    def cancel_reading(self) -> None:
+        """Read the chosen run no further: nothing is shown of it."""
+        if self._reading is not None:
+            self._drop_reading()
+            self._forget()
+            again = "Choose another recording, then this one again."
+            self._page.decision.show_text(DecisionText("Not read", "", "", again))
+
+    def _drop_reading(self) -> None:
+        if self._reading is not None:
+            self._reading.drop()
+        self._reading, self._said = None, ""
+
+    def _forget(self) -> None:
+        """Show nothing of the recording before: another is chosen."""
+        self.story, self._run, self.timed = RunStory(), None, []
+        self._episodes, self._told, self.caption = [], [], ""
+        self._page.score.show_facts("", "")
+        self._name_parts("Trials", "", "Outcomes")
+        self._fill([], -1)
+
+    def _take_run(self, read: ReadRun) -> None:
+        self.story, self._run = read.story, read.folder
+        if read.collection is not None:
+            self._open_collection(read.collection)
+            return
+        self.timed, self._episodes, self._told = read.trials, [], []
         self._name_parts("Trials", "of the run", "Outcomes")
         self._show_score()
-        self._fill([_trial_title(trial) for trial in story.trials], len(story.trials) - 1)
-        return True
+        trials = self.story.trials
+        self._fill([_trial_title(trial) for trial in trials], len(trials) - 1)
 
     def _open_collection(self, collection: Collection) -> None:
         """Show a run that collected: its probes are episodes of the dataset."""
@@ -102,6 +148,7 @@ class ReviewPresenter:
         self._fill(collection.lines(), len(self._episodes) - 1)
 
     def _open_series(self, series: Series) -> None:
+        self._drop_reading()
         self.story, self._run, self.timed, self._told = RunStory(), None, [], []
         self._episodes = [entry.uuid for entry in series.entries]
         self._whole = ", ".join((f"Series {series.name}", series.plan)).rstrip(", ")
@@ -201,8 +248,12 @@ class ReviewPresenter:
             uuids = list(self._episodes)
             self._reader.submit(lambda: self.library.table(uuids), done, self._failed)
         elif self.timed:
-            face = self.library.face
-            done(table_of([(t, face(t.head.bottom.split("+")[-1])) for t in self.timed]))
+            timed, face = list(self.timed), self.library.face
+            self._reader.submit(
+                lambda: table_of([(t, face(t.head.bottom.split("+")[-1])) for t in timed]),
+                done,
+                self._failed,
+            )
         return bool(self._episodes or self.timed)
 
     def _show_score(self) -> None:

@@ -13,6 +13,7 @@ from app.review.page import ReviewIntents, ReviewPage
 from app.review.picture import export_picture, picture_of
 from app.review.presenter import ReviewPresenter
 from app.review.report import export_report, report_of
+from app.review.reports import Reports
 from app.workspace import Command, Desk, Workspace
 from backend.runs.store import dataset_folder
 from widgets.fault_cards import CardText
@@ -44,6 +45,10 @@ class ReviewWorkspace(Workspace):
             Command("picture", "Export what is shown as PNG and SVG", "Ctrl+E", self._picture),
             Command("table", "Export the probes as CSV", "Ctrl+Shift+E", self._table),
             Command("report", "Export picture and probes as one HTML page", "", self._report),
+            Command("cancel", "Read a long run no further", "Esc",
+                    lambda: self.presenter.cancel_reading()),
+            Command("experiments", "Open a report of experiments", "Ctrl+Shift+O",
+                    lambda: self.reports.ask()),
             Command("viewer", "Open the file outside", "Ctrl+O", self._open_outside),
         )  # fmt: skip
 
@@ -57,6 +62,9 @@ class ReviewWorkspace(Workspace):
         self.presenter = ReviewPresenter(
             self.page, self._desk.runs, self._desk.cards, self.reader, self.library
         )
+        self.parts = (self.presenter.draw,)
+
+        self.reports = Reports(self.page, self._desk, self.reader, self.exports)
 
     def enter(self) -> None:
         """Look for recordings that came since."""
@@ -66,6 +74,7 @@ class ReviewWorkspace(Workspace):
     def fit_to_theme(self) -> None:
         """Take the row height of the theme."""
         self.page.fit_to_theme()
+        self.reports.fit_to_theme()
 
     def leave(self) -> None:
         """Stop the film."""
@@ -74,6 +83,7 @@ class ReviewWorkspace(Workspace):
     def close(self) -> None:
         """End the thread that reads."""
         self.page.film.stop()
+        self.presenter.cancel_reading()
         self.reader.submit(self.library.close, _done, _failed)
         self.reader.close()
         self.post.close()
@@ -92,6 +102,7 @@ class ReviewWorkspace(Workspace):
             picture=self._picture,
             table=self._table,
             report=self._report,
+            experiments=lambda: self.reports.ask(),
             viewer=self._open_outside,
         )
 

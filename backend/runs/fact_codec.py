@@ -13,6 +13,7 @@ import math
 import types
 import typing
 from enum import Enum
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -74,8 +75,14 @@ def _encoded(value: Any) -> Any:
     return value
 
 
+@cache
+def _hints(cls: type) -> dict[str, Any]:
+    """Return the types of the fields: worked out anew for every fact they took half the time."""
+    return typing.get_type_hints(cls)
+
+
 def _build(cls: type, content: dict[str, Any]) -> Any:
-    hints = typing.get_type_hints(cls)
+    hints = _hints(cls)
     values = {
         f.name: _decoded(hints[f.name], content[f.name])
         for f in dataclasses.fields(cls)

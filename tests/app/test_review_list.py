@@ -40,9 +40,11 @@ def texts(main):
 
 
 def described(main, qtbot):
-    """Wait until no line of a run is still being read."""
-    recordings = main.workspaces["review"].presenter.recordings
-    qtbot.waitUntil(lambda: not recordings.describing, timeout=60_000)
+    """Wait until no run, and no line of one, is still being read."""
+    presenter = main.workspaces["review"].presenter
+    qtbot.waitUntil(
+        lambda: not presenter.recordings.describing and not presenter.reading, timeout=60_000
+    )
 
 
 @pytest.mark.parametrize(
@@ -102,6 +104,7 @@ def test_recordings_are_sorted_and_the_chosen_one_stays(main, qtbot, tmp_path):
 
     assert pieces() == ["mushroom", "barrel", "pot"]
     page.runs.choose_row(0)
+    described(main, qtbot)
     assert presenter.story.head.piece == "mushroom"
     page.order.setCurrentIndex(page.order.findData("oldest"))
     assert pieces() == ["pot", "barrel", "mushroom"]
@@ -109,6 +112,7 @@ def test_recordings_are_sorted_and_the_chosen_one_stays(main, qtbot, tmp_path):
     page.order.setCurrentIndex(page.order.findData("pair"))
     assert pieces() == ["barrel", "mushroom", "pot"]
     page.runs.choose_row(0)
+    described(main, qtbot)
     assert presenter.story.head.piece == "barrel"
     page.filter.setText("pot")
     page.order.setCurrentIndex(page.order.findData("newest"))
@@ -179,7 +183,9 @@ def test_rows_are_as_high_as_their_text_beside_the_scroll_bar(qapp, qtbot):
     assert view.visualItemRect(view.item(0)).height() >= lines * metrics.height()
 
 
-def test_only_a_device_fault_before_the_release_keeps_a_trial_out_of_the_rate(main, tmp_path):
+def test_only_a_device_fault_before_the_release_keeps_a_trial_out_of_the_rate(
+    main, qtbot, tmp_path
+):
     """Of five trials one counts as placed, one is left out: 1 of 4, by Wilson 4.6 to 69.9 %."""
     run = tmp_path / "runs" / "20261121-041511-703"
     bench, journal = StandInBench(), Journal(run)
@@ -203,6 +209,7 @@ def test_only_a_device_fault_before_the_release_keeps_a_trial_out_of_the_rate(ma
     main.go("review")
     page = main.workspaces["review"].page
     page.runs.choose_row(0)
+    described(main, qtbot)
     words = page.score.words
     assert "1 of 4 placed" in words
     assert "25 % success, 95 % interval 5 to 70 %" in words

@@ -271,6 +271,7 @@ def test_pictures_and_tables_are_written(told, tmp_path):
     review, _, decided_s = told
     review.press(KEY.Key_E, Qt.KeyboardModifier.ControlModifier)
     review.press(KEY.Key_E, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
+    review.settle()
     (png,) = (tmp_path / "exports").glob("*.png")
     (svg,) = (tmp_path / "exports").glob("*.svg")
     (table,) = (tmp_path / "exports").glob("*.csv")
@@ -298,6 +299,7 @@ def test_a_page_holds_what_is_shown(told, tmp_path):
     review, *_ = told
     review.press(KEY.Key_E, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
     review.workspace._report()
+    review.settle()
     (page,) = (tmp_path / "exports").glob("*.html")
     (table,) = (tmp_path / "exports").glob("*.csv")
     text = page.read_text()

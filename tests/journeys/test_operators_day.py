@@ -14,7 +14,7 @@ from tests.backend.brisk import brisk_bench, brisk_method
 
 KEY, CTRL, SHIFT = Qt.Key, Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 PROBES = 2
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
+pytestmark = pytest.mark.slow
 
 
 class SteppedSession:
@@ -88,6 +88,7 @@ def test_an_operators_day(day, tmp_path):
     day.press(KEY.Key_5, CTRL)
     review = pages["review"]
     review.page.runs.choose_row(0)
+    day.wait(lambda: not review.presenter.reading)
     assert review.presenter.story.outcomes == pages["stack"].presenter.story.outcomes
     assert main.cards.codes == ()
     day.press(KEY.Key_Q, CTRL)

@@ -115,6 +115,7 @@ def test_stack_look_back_and_review(desk, qtbot, tmp_path):
     # Every run is kept and can be looked at again.
     main.actions.action("review").trigger()
     main.workspaces["review"].page.runs.choose_row(0)
+    qtbot.waitUntil(lambda: not main.workspaces["review"].presenter.reading, timeout=60_000)
     assert main.workspaces["review"].page.trials.count() == 1
     assert len(main.workspaces["review"].page.strip.thumbnails) == len(trial.probes)
     reviewed = main.workspaces["review"].presenter.story.trial.probes[-1]

@@ -19,7 +19,7 @@ from backend.core.flow import BeliefMap, ContactPatch, FloatArray, Outcome, Plac
 from backend.objects.tower import Verdict, judge
 from backend.placement.below import Below
 from backend.placement.strategies import begin
-from backend.placement.strategy import Held, Reasoner, Touched
+from backend.placement.strategy import Held, Reasoner, SeekingReasoner, Touched
 from backend.sensing.episode import EpisodeLimits
 from backend.simulation.lockstep import Lockstep, Presses
 from backend.simulation.scene import Scene
@@ -174,7 +174,9 @@ def pick_and_place_in_lockstep(
 
 
 def _observed(active: list[_Trial], felt: Presses, limits: EpisodeLimits) -> list[int]:
-    """Return which presses are observations; a trial whose press is none twice is aborted."""
+    """Return which presses are observations; a trial whose press is none twice is aborted, unless
+    its strategy can go on without a contact.
+    """
     kept = []
     for k, trial in enumerate(active):
         trial.true_mm = _pair(felt.true_mm[k])
@@ -186,6 +188,7 @@ def _observed(active: list[_Trial], felt: Presses, limits: EpisodeLimits) -> lis
             reasons.append("no contact was found")
         if not felt.press_n[k] >= limits.contact_n:
             reasons.append(f"press force {felt.press_n[k]:.1f} N")
+        touchless = bool(reasons)
         if not felt.slip_mm[k] <= limits.slip_mm:
             reasons.append(f"slip {felt.slip_mm[k]:.2f} mm")
         if not reasons:
@@ -193,10 +196,24 @@ def _observed(active: list[_Trial], felt: Presses, limits: EpisodeLimits) -> lis
             kept.append(k)
             continue
         trial.tries += 1
-        if trial.tries >= TRIES:
-            why = f"Probe {len(trial.steps) + 1} was rejected {TRIES} times: {'; '.join(reasons)}."
+        if trial.tries < TRIES:
+            continue
+        why = f"Probe {len(trial.steps) + 1} was rejected {TRIES} times: {'; '.join(reasons)}."
+        if isinstance(trial.reasoner, SeekingReasoner) and touchless:
+            _turn_away(trial, trial.reasoner)
+        else:
             trial.close(Outcome.ABORTED, why)
     return kept
+
+
+def _turn_away(trial: _Trial, reasoner: SeekingReasoner) -> None:
+    """Let a strategy that asks for it go on elsewhere."""
+    action = reasoner.missed(trial.here)
+    if action.kind == "give_up":
+        trial.close(Outcome.GAVE_UP, action.reason)
+    else:
+        trial.here = (trial.here[0] + action.step_mm[0], trial.here[1] + action.step_mm[1])
+        trial.tries = 0
 
 
 def _conclude(trial: _Trial, touched: Touched, bench: Lockstep) -> None:

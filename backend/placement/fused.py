@@ -6,6 +6,7 @@ mass lies within in all but an accepted share; otherwise a step towards where it
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from backend.placement.strategy import XY, Conclusion, Held, Touched
 from backend.placement.targets import next_on_spiral
 
 NOTHING = "The signals of the probe are no numbers: giving up without a release."
+NO_CONTACT = "No contact was found"
 EVEN = 0.5
 FARTHEST_MM = 14.0
 """Farther from the last probe the network was asked too seldom to be followed."""
@@ -47,6 +49,7 @@ class FusedReasoner:
         self._belief = Belief.unknown(settings.belief, origin_mm, held.base_rate)
         self._seen: list[FloatArray] = []
         self._offset_mm: list[XY] = []
+        self._missed_mm: list[XY] = []
         self._last: FloatArray | None = None
 
     def conclude(self, touched: Touched) -> Conclusion:
@@ -78,6 +81,29 @@ class FusedReasoner:
         action = self._choose(stability, deepest(over, cells, com), here)
         return Conclusion(shown, stability, action)
 
+    def missed(self, offset_mm: XY) -> PlaceAction:
+        """Go half way back to where something was last felt; before that, round in a spiral.
+
+        A place without contact counts as a probe.
+        """
+        policy = self._settings.policy
+        self._missed_mm.append(offset_mm)
+        if self._probes() >= policy.max_probes:
+            return give_up(f"{NO_CONTACT} after {self._probes()} probes, the most allowed.")
+        last = self._offset_mm[-1] if self._offset_mm else offset_mm
+        to = 0.5 * (last[0] + offset_mm[0]), 0.5 * (last[1] + offset_mm[1])
+        where = "half way back"
+        if math.dist(to, offset_mm) < self._settings.belief.min_shift_mm:
+            tried = replace(self._belief, visits=(*self._offset_mm, *self._missed_mm))
+            first = self._offset_mm[0] if self._offset_mm else self._missed_mm[0]
+            to, where = next_on_spiral(first, tried, policy), "looking around"
+        step = to[0] - offset_mm[0], to[1] - offset_mm[1]
+        clipped = math.hypot(*step) > policy.longest_step_mm
+        part = policy.longest_step_mm / math.hypot(*step) if clipped else 1.0
+        step = step[0] * part, step[1] * part
+        words = f"{NO_CONTACT} ({where}): move {math.hypot(*step):.1f} mm."
+        return PlaceAction("shift", step, to, clipped, words)
+
     def stable_at(self, offset_mm: XY) -> bool:
         """Ask about another place of the face."""
         inset = self._at(offset_mm)
@@ -94,6 +120,9 @@ class FusedReasoner:
         here, com = self._offset_mm[-1], self._held.com_xy_mm
         point = offset_mm[0] - here[0] + com[0], offset_mm[1] - here[1] + com[1]
         return self._inset(self._last, np.array([point]), here)
+
+    def _probes(self) -> int:
+        return len(self._belief.visits) + len(self._missed_mm)
 
     def _known(self, points_mm: FloatArray) -> FloatArray:
         seen = np.stack(self._seen).astype(np.float32)
@@ -121,7 +150,7 @@ class FusedReasoner:
         words = situation(stability, required)
         if stability.stable:
             return PlaceAction("release", (0.0, 0.0), None, False, f"{words}: release.")
-        probes = len(self._belief.visits)
+        probes = self._probes()
         if probes >= policy.max_probes:
             return give_up(f"{words} after {probes} probes, the most allowed: giving up.")
         to = here[0] + target[0], here[1] + target[1]

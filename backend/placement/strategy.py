@@ -7,7 +7,7 @@ The run on devices, the batch of trials and the window know strategies through t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +81,14 @@ class Reasoner(Protocol):
 
     def likely_at(self, offset_mm: XY) -> bool:
         """Whether it would there rather stand than fall, whatever risk a release may take."""
+
+
+@runtime_checkable
+class SeekingReasoner(Reasoner, Protocol):
+    """The memory of one trial by a strategy to which a place without contact is no end."""
+
+    def missed(self, offset_mm: XY) -> PlaceAction:
+        """Take note that no contact was found at ``offset_mm``; return the shift, or the end."""
 
 
 class PaperReasoner:

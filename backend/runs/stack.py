@@ -15,9 +15,9 @@ from backend.core.facts import (
     StabilityJudged,
 )
 from backend.core.faults import FaultError
-from backend.core.flow import Outcome
+from backend.core.flow import Outcome, PlaceAction
 from backend.placement.strategies import begin
-from backend.placement.strategy import Held, Reasoner, Touched
+from backend.placement.strategy import Held, Reasoner, SeekingReasoner, Touched
 from backend.runs import words
 from backend.runs.bench import Bench
 from backend.runs.ending import Ending
@@ -29,6 +29,7 @@ from backend.runs.probe import probe_until_accepted
 from backend.runs.room import durable, room_awaited
 
 OPERATOR_S = 24 * 3600.0
+DECLINED = "The operator declined the next move."
 
 
 def stack(bench: Bench) -> Plan[Ending]:
@@ -42,7 +43,16 @@ def stack(bench: Bench) -> Plan[Ending]:
         yield Checkpoint()
         yield from room_awaited(bench.store.obstacle)
         probe += 1
-        felt = yield from probe_until_accepted(bench, probe)
+        felt = yield from _felt(bench, probe, reasoner)
+        if isinstance(felt, PlaceAction):
+            yield Said(bench.now_s(), f"Probe {probe}: {felt.reason}")
+            yield from lift(bench, probe)
+            if felt.kind == "give_up":
+                return Ending(Outcome.GAVE_UP, felt.reason, probe)
+            if not (yield from _asked(bench, felt, probe)):
+                return Ending(Outcome.ABORTED, DECLINED, probe)
+            yield from shift(bench, felt.step_mm, probe)
+            continue
         judged = yield from _conclude(bench, felt, reasoner)
         bench.store.keep(felt.episode)
         held_s = judged.at_s - felt.ended_s
@@ -56,8 +66,8 @@ def stack(bench: Bench) -> Plan[Ending]:
             continue
         if judged.action.kind == "give_up":
             return Ending(Outcome.GAVE_UP, judged.action.reason, probe)
-        if not (yield from _asked(bench, judged)):
-            return Ending(Outcome.ABORTED, "The operator declined the next move.", probe)
+        if not (yield from _asked(bench, judged.action, probe)):
+            return Ending(Outcome.ABORTED, DECLINED, probe)
         if judged.action.kind == "release":
             # An approval covers piece, pose and run: press and judge again, then release.
             approved = True
@@ -113,12 +123,23 @@ def _let_go(bench: Bench, judged: Judged, *, approved: bool) -> Plan[Ending]:
     return ending
 
 
-def _asked(bench: Bench, judged: Judged) -> Plan[bool]:
+def _felt(bench: Bench, probe: int, reasoner: Reasoner) -> Plan[Felt | PlaceAction]:
+    """Probe; without a contact a strategy that asks for it says where to go instead."""
+    try:
+        return (yield from probe_until_accepted(bench, probe))
+    except FaultError as cause:
+        if cause.fault.code != "NO-CONTACT" or not isinstance(reasoner, SeekingReasoner):
+            raise
+    here = bench.arm.pose(max_age_s=0.2)
+    return reasoner.missed((here.x_mm, here.y_mm))
+
+
+def _asked(bench: Bench, action: PlaceAction, probe: int) -> Plan[bool]:
     """Wait for the operator in approve and step mode; the arm is lifted meanwhile."""
     if bench.settings.mode == "auto":
         return True
     bench.gate.ask()
-    yield ApprovalAwaited(bench.now_s(), judged.action, judged.felt.probe)
+    yield ApprovalAwaited(bench.now_s(), action, probe)
     yield Waiting(lambda: bench.gate.answered, OPERATOR_S, "the operator")
     return bench.gate.yes
 

@@ -22,7 +22,14 @@ from backend.objects.surface import face_points
 from backend.objects.tower import Body, Tower
 from backend.placement.fused import FusedReasoner, deepest
 from backend.placement.strategies import begin
-from backend.placement.strategy import XY, Conclusion, Held, Touched
+from backend.placement.strategy import (
+    XY,
+    Conclusion,
+    Held,
+    PaperReasoner,
+    SeekingReasoner,
+    Touched,
+)
 from backend.simulation.lockstep import Lockstep, Presses
 from backend.simulation.scene import Scene
 
@@ -46,11 +53,15 @@ def presses() -> list[Presses]:
 
 
 def concluded(
-    presses: list[Presses], trial: int, settings: StackSettings = SETTINGS, held: Held = HELD
+    presses: list[Presses],
+    trial: int,
+    settings: StackSettings = SETTINGS,
+    held: Held = HELD,
+    places: tuple[XY, ...] = PLACES,
 ) -> tuple[FusedReasoner, list[Conclusion]]:
-    reasoner = FusedReasoner(held, settings, PLACES[0])
+    reasoner = FusedReasoner(held, settings, places[0])
     found = []
-    for felt, place in zip(presses, PLACES, strict=True):
+    for felt, place in zip(presses, places, strict=True):
         patch = ContactPatch(FACE.copy(), np.full(len(FACE), 0.5))
         found.append(reasoner.conclude(Touched(felt.observation[trial], patch, place)))
     return reasoner, found
@@ -111,6 +122,27 @@ def test_signals_that_are_no_numbers_end_the_trial_without_a_release() -> None:
     conclusion = reasoner.conclude(Touched(observation, patch, (0.0, 0.0)))
     assert conclusion.action.kind == "give_up"
     assert not conclusion.stability.stable
+
+
+def test_a_place_without_contact_sends_it_half_way_back(presses: list[Presses]) -> None:
+    begun = begin(HELD, StackSettings(strategy="fused", belief=SMALL), (0.0, 0.0))
+    assert isinstance(begun, SeekingReasoner)
+    assert not isinstance(PaperReasoner(HELD, SETTINGS, (0.0, 0.0)), SeekingReasoner)
+    # Nothing was felt yet: other places, each 3 mm from the last at most, none of them twice.
+    here, been = (0.0, 0.0), [(0.0, 0.0)]
+    for _ in range(6):
+        action = begun.missed(here)
+        assert 0.0 < np.hypot(*action.step_mm) <= 3.0 + 1e-9
+        here = here[0] + action.step_mm[0], here[1] + action.step_mm[1]
+        assert min(np.hypot(here[0] - x, here[1] - y) for x, y in been) > 1.0
+        been.append(here)
+    assert begun.missed(here).kind == "shift"
+    assert begun.missed(here).kind == "give_up"
+    reasoner, _ = concluded(presses[:1], 0, places=PLACES[:1])
+    last = PLACES[0]
+    for way in (1.5, 0.75):
+        action = reasoner.missed((last[0] + 2.0 * way, last[1]))
+        assert action.step_mm == pytest.approx((-way, 0.0))
 
 
 def test_it_goes_where_the_centre_of_mass_lies_deepest() -> None:

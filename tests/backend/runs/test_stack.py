@@ -131,6 +131,24 @@ def test_gives_up_after_max_probes_and_never_opens_the_gripper() -> None:
     assert not bench.of(Released)
 
 
+def test_without_contact_only_a_strategy_that_asks_for_it_presses_elsewhere() -> None:
+    above = brisk_method().probe.model_copy(update={"max_travel_mm": 0.01, "start_height_mm": 3.0})
+    changes = {"probe": above, "policy": PolicySettings(max_probes=2)}
+    bench = OracleSession(method=brisk_method().model_copy(update=changes))
+    bench.session.run(request(strategy="fused"))
+    assert last_trial(bench).outcome is Outcome.GAVE_UP
+    moved = [f.phase for f in bench.of(PhaseEntered) if isinstance(f, PhaseEntered)]
+    assert moved.count("approach") == 2
+    assert moved.count("shift") == 1
+    assert bench.benches[-1].gripper.status().holding
+    bench.session.run(request())
+    assert last_trial(bench).outcome is Outcome.ABORTED
+    assert "NO-CONTACT" in [
+        f.fault.code for f in bench.of(FaultRaised) if isinstance(f, FaultRaised)
+    ]
+    assert not bench.of(EpisodeRecorded)
+
+
 def after(bench: OracleSession, kind: type[Fact], phase: str, act: object) -> None:
     """Call ``act`` once when a fact of ``kind`` (and phase) is published."""
     done = threading.Event()

@@ -13,7 +13,7 @@ from PySide6.QtWidgets import QWidget
 from app.activity import busy, why_no_run
 from app.calibrate.place_form import PlaceForm
 from app.calibrate.sheet import CalibrateSheet, Intents, SheetLook
-from app.calibrate.words import COUNTS, NAMES, STEPS, days_words, value_words
+from app.calibrate.words import AFTER, COUNTS, NAMES, STEPS, days_words, value_words
 from app.cards import refusal_card
 from app.link import Link
 from backend.calibration.kinds import KINDS, WHATS, What
@@ -152,7 +152,7 @@ class CalibratePresenter:
             self._show_bad(error)
         else:
             del self._measured[self._chosen]
-            self._said[self._chosen] = f"Accepted: {path.name}"
+            self._said[self._chosen] = f"Accepted: {path.name}{AFTER.get(self._chosen, '')}"
             self._read_standings()
             self.draw(at_once=True)
 

@@ -32,6 +32,12 @@ STEPS: dict[What, tuple[str, ...]] = {
     ),
 }
 
+AFTER: dict[What, str] = {
+    "camera": ". The pictures stay as they are until the bench is started again: close the window "
+    "and open it anew."
+}
+"""What is said once a result is accepted that does not hold at once."""
+
 COUNTS: dict[What, str] = {
     "payload": "largest",
     "wrist": "largest",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -13,6 +14,8 @@ from backend.core.faults import RefusedError
 from backend.core.flow import FloatArray
 
 LIMIT_MM = 0.1
+LARGEST_YAW_RAD = math.radians(2.0)
+"""A corner 12 mm from the centre is then 0.4 mm off: less than a label is known to."""
 TOUCH_SIGMA_MM = 0.05
 EDGE_SIGMA_MM = 0.06
 """Standard uncertainty of one touch and one edge: arm, resolution of the search, onset."""
@@ -115,8 +118,23 @@ def estimate_board(touches_mm: FloatArray, edges: Sequence[Edge], yaw_of: YawOf)
         tuple(found),
         np.diag([q.sigma**2 for q in found]),
         np.concatenate([plane.solution.residuals, felt.residuals]),
-        max(plane.residual_mm, edge_mm), LIMIT_MM, "mm", note=_note(yaw_of),
+        max(plane.residual_mm, edge_mm), LIMIT_MM, "mm",
+        note=_note(yaw_of), obstacle=_obstacle(found[-1]) if yaw_of == "board" else "",
     )  # fmt: skip
+
+
+def _obstacle(yaw: Quantity) -> str:
+    """Return how the bottom is to be turned if it does not lie straight enough, else "".
+
+    Labels and maps take it as straight: the hand does not turn while it presses.
+    """
+    if abs(yaw.value) <= LARGEST_YAW_RAD + 2.0 * yaw.sigma:
+        return ""
+    way = "clockwise" if yaw.value > 0.0 else "counter-clockwise"
+    return (
+        f"The bottom is turned by {math.degrees(yaw.value):.1f} degrees: turn it {way}, seen from "
+        "above, by as much, then measure again."
+    )
 
 
 def _note(yaw_of: YawOf) -> str:

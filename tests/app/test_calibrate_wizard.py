@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from backend.calibration.kinds import WHATS
+from backend.calibration.kinds import KINDS, WHATS
 from backend.calibration.record import read_record
 from backend.calibration.store import CalibrationStore
 from backend.core.facts import (
@@ -148,6 +148,17 @@ def test_the_hand_over_is_confirmed_in_the_wizard(wizard, bench) -> None:
     sheet.question.no.click()
     assert bench.engine.orders == ["cancel"]
     assert bench.answers == [True]
+
+
+def test_accepted_cameras_say_from_when_on_they_are_read_so(wizard, bench) -> None:
+    names = KINDS["camera"].values
+    found = replace(GOOD, what="camera", names=("exchanged", "left_mirror", "right_mirror", *names),
+                    values=(0.0, 0.0, 0.0, 0.06, 0.06, 0.06, 0.06), sigmas=7 * (0.0,),
+                    units=7 * ("",))  # fmt: skip
+    shown(wizard).choices[WHATS.index("camera")].click()
+    sheet = told(wizard, bench, found)
+    sheet.accept_it.click()
+    assert "until the bench is started again" in sheet.note.text()
 
 
 def test_an_expired_calibration_is_red_and_named(wizard, bench) -> None:

@@ -78,6 +78,17 @@ def test_a_board_is_one_estimate_with_its_larger_residual() -> None:
     assert not estimate_board(TOUCHES, off, "board").acceptable
 
 
+@pytest.mark.parametrize(("yaw", "way"), [(0.05, " clockwise"), (-0.05, "counter-clockwise")])
+def test_a_bottom_that_is_turned_is_turned_back_not_accepted(yaw: float, way: str) -> None:
+    found = estimate_board(TOUCHES, felt_edges((0.0, 0.0), yaw), "board")
+    assert found.residual <= found.limit
+    assert not found.acceptable
+    assert "2.9 degrees" in found.obstacle
+    assert way in found.obstacle
+    # Of a piece that is held askew the bottom knows nothing.
+    assert estimate_board(TOUCHES, felt_edges((0.0, 0.0), yaw), "piece").obstacle == ""
+
+
 def test_round_edges_tell_no_yaw() -> None:
     found = estimate_board(TOUCHES, felt_edges((0, 0), 0.0, along=0.0), "")
     assert "yaw_rad" not in [q.name for q in found.quantities]

@@ -138,7 +138,9 @@ def rewritten(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
 
 
 @pytest.mark.parametrize("what", WHATS)
-def test_what_cannot_be_applied_is_damaged_though_its_hash_fits(store, what: What) -> None:
+def test_what_cannot_be_applied_is_damaged_though_its_hash_fits(
+    store: CalibrationStore, what: What
+) -> None:
     path = store.accept(of_kind(what), DEVICES, now=NOW)
     whole = path.read_text()
     changes: list[Callable[[dict[str, Any]], object]] = [

@@ -61,14 +61,15 @@ def _allowed(held: Held, *, live: bool) -> tuple[str, ...]:
         return () if live else ("keep",)
     if live:
         return ("keep", "discard", "flag", "redo", "skip")
-    return ("discard", "flag")
+    return ("discard", "flag") if held.entry.plan_item is None else ("discard", "flag", "skip")
 
 
 def decide_stored(dataset: Dataset, person: str, uuid: str, decision: Decision) -> Held:
     """Carry out a decision about a probe that no run waits for; return it as it is then.
 
-    A discarded one is probed again when its campaign goes on; keep brings a discarded one back, a
-    second flag takes the first one off. Raises ``RefusedError`` as the labels do.
+    A discarded one is probed again when its campaign goes on, a skipped one is not; keep brings a
+    deleted one back, a second flag takes the first one off. Raises ``RefusedError`` as the labels
+    do.
     """
     labels, entry = dataset.labels, dataset.entry(uuid)
     if decision == "flag":

@@ -43,7 +43,7 @@ from backend.core.facts import (
 )
 from backend.core.faults import InputError, RefusedError, TouchdownError
 from backend.objects.catalogue import Catalogue
-from backend.runs.campaign import Campaign, newest_campaign, read_campaign
+from backend.runs.campaign import Campaign, campaign_now, newest_campaign
 from backend.runs.requests import CollectRequest, RunState
 from widgets.fault_cards import CardText, FaultCards
 from widgets.last_probe_panel import ProbeWords
@@ -291,7 +291,7 @@ class CollectPresenter:
             uuid = newest_campaign(dataset.folder)
             if uuid is None:
                 return None
-            plan = read_campaign(dataset.folder, uuid)
+            plan = campaign_now(dataset, uuid)
             return plan, len(plan.todo(dataset.episodes(EpisodeFilter(campaign=uuid))))
 
         def done(found: tuple[Campaign, int] | None) -> None:

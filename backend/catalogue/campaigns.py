@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from backend.catalogue.database import Database
+from backend.catalogue.values import DELETED
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +22,16 @@ class CampaignEntry:
     last_ns: int
     episodes: int
     done: int
+
+
+def items_deleted(database: Database, campaign: str, reason: str) -> set[int]:
+    """Return the items of a campaign with an episode that was deleted for this very reason."""
+    sql = (
+        "SELECT e.plan_item FROM episode e JOIN mark m ON m.episode = e.uuid"
+        " WHERE e.campaign = ? AND e.plan_item IS NOT NULL AND m.name = ? AND m.present"
+        " AND m.note = ?"
+    )
+    return {item for (item,) in database.rows(sql, (campaign, DELETED, reason))}
 
 
 def list_campaigns(database: Database) -> list[CampaignEntry]:

@@ -1,7 +1,8 @@
 """A campaign on disk: what was planned, so that it goes on after a restart.
 
 One JSON file per campaign beside the episodes. What is done is not written here: it is what the
-dataset holds, minus what was discarded.
+dataset holds, minus what was discarded. What was skipped the episodes tell as well, so that a disk
+with no room for the file loses no decision.
 """
 
 from __future__ import annotations
@@ -11,11 +12,14 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
+from backend.catalogue.campaigns import items_deleted
+from backend.catalogue.dataset import Dataset
 from backend.catalogue.uuid7 import uuid7
 from backend.catalogue.values import EpisodeEntry
 from backend.core.faults import InputError
 from backend.core.files import write_atomically
 from backend.runs.collect_plan import PATTERNS, Pattern
+from backend.runs.words import DECIDED
 
 FOLDER = "campaigns"
 FORMAT = 1
@@ -84,6 +88,13 @@ def read_campaign(dataset: Path, uuid: str) -> Campaign:
         raise InputError(
             f"The campaign cannot be read: {error}.", str(path), "Begin a new campaign."
         ) from error
+
+
+def campaign_now(dataset: Dataset, uuid: str) -> Campaign:
+    """Return a campaign as it goes on: without what its file or its episodes say was skipped."""
+    plan = read_campaign(dataset.folder, uuid)
+    skipped = items_deleted(dataset.database, uuid, DECIDED["skip"])
+    return replace(plan, skipped=tuple(sorted({*plan.skipped, *skipped})))
 
 
 def newest_campaign(dataset: Path) -> str | None:

@@ -12,7 +12,7 @@ from backend.catalogue.values import EpisodeContext, EpisodeEntry, EpisodeFilter
 from backend.core.facts import CampaignBegan, RunFinished, RunStarted
 from backend.core.faults import FaultError, InputError, RefusedError
 from backend.runs.bench import Bench
-from backend.runs.campaign import Campaign, new_campaign, newest_campaign, read_campaign
+from backend.runs.campaign import Campaign, campaign_now, new_campaign, newest_campaign
 from backend.runs.collect_plan import Target, planned_mm
 from backend.runs.collect_report import pair_coverage
 from backend.runs.collected import EpisodeRecorder, Origin
@@ -189,7 +189,7 @@ def _dataset(host: RunHost, request: CollectRequest) -> Dataset:
 
 def _begun(dataset: Dataset, request: CollectRequest) -> Campaign:
     if request.campaign:
-        return read_campaign(dataset.folder, request.campaign)
+        return campaign_now(dataset, request.campaign)
     # Resuming takes the newest one by its id, also after the clock was set back.
     follow(newest_campaign(dataset.folder) or "")
     return new_campaign(

@@ -42,7 +42,7 @@ from backend.runs.motions import MOVE_S, lift, rest
 from backend.runs.origin_check import check_origin
 from backend.runs.plan import Checkpoint, Plan, Waiting, motion_done
 from backend.runs.probe import press_once, scene_pictures
-from backend.runs.room import FULL, no_room, refused_episode, room_awaited, saved
+from backend.runs.room import FULL, no_room, not_decided, refused_episode, room_awaited, saved
 from backend.sensing.episode import EpisodeLimits
 
 OPERATOR_S = 24 * 3600.0
@@ -81,6 +81,8 @@ class Collector:
         self._probes = 0
         self._taken: _Taken | None = None
         self._last: tuple[EpisodeEntry, int] | None = None
+        self._said: Decision | None = None
+        """What was decided about the last one, until it is carried out."""
         self._untold: deque[Fact] = deque()
         """Facts about a probe that is durable, in their order."""
 
@@ -113,14 +115,16 @@ class Collector:
     def settle(self, bench: Bench) -> Plan[None]:
         """Announce the probe on which a mounting ended early; a disk that refuses it is a fault.
 
-        Whatever ended it: what is in the dataset is told, also where only part of it was told yet.
+        Whatever ended it: what is in the dataset is told, also where only part of it was told yet,
+        and what was decided before the end is carried out.
         """
-        try:
-            yield from self._tell()
-            yield from self._settled(bench, waits=False)
-        except FaultError as cause:
-            bench.interlock.raise_fault(cause.fault)
-            yield FaultRaised(bench.now_s(), cause.fault)
+        yield from self._tell()
+        for rest_of in (self._carry_out, self._settled):
+            try:
+                yield from rest_of(bench, waits=False)
+            except FaultError as cause:
+                bench.interlock.raise_fault(cause.fault)
+                yield FaultRaised(bench.now_s(), cause.fault)
 
     def _settled(self, bench: Bench, *, waits: bool = True) -> Plan[None]:
         """Announce the probe before, once it is durable; ``waits`` for room on a full disk."""
@@ -267,19 +271,32 @@ class Collector:
         yield DecisionAwaited(bench.now_s(), entry.uuid, item)
         yield Waiting(lambda: self._decisions.given, OPERATOR_S, "the operator")
 
-    def _carry_out(self, bench: Bench) -> Plan[None]:
-        """Carry out what the operator decided about the newest recorded episode."""
-        decision = self._decisions.take()
+    def _carry_out(self, bench: Bench, *, waits: bool = True) -> Plan[None]:
+        """Carry out what the operator decided about the newest recorded episode.
+
+        ``waits`` for room on a full disk; what the end of the run cuts short is done at its end.
+        """
+        self._said = decision = self._decisions.take() or self._said
         if decision is None or self._last is None:
+            self._said = None
             return
         entry, item = self._last
-        person = entry.person
         try:
-            yield from saved(lambda: self._decide(decision, entry, item))
+            if waits:
+                yield from saved(lambda: self._decide(decision, entry, item))
+            else:
+                self._decide(decision, entry, item)
         except RefusedError as cause:
+            self._said = None
             yield Said(bench.now_s(), f"Refused: {cause.detail}")
+        except FaultError as cause:
+            if waits or cause.fault.code != FULL:
+                raise
+            folder = self.recorder.dataset.folder
+            raise FaultError(not_decided(folder, decision, item)) from cause
         else:
-            yield EpisodeDecided(bench.now_s(), entry.uuid, item, decision, person)
+            self._said = None
+            yield EpisodeDecided(bench.now_s(), entry.uuid, item, decision, entry.person)
 
     def _decide(self, decision: Decision, entry: EpisodeEntry, item: int) -> None:
         labels = self.recorder.dataset.labels

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from backend.catalogue.diskspace import NO_ROOM, free_to_go_on
+from backend.core.facts import Decision
 from backend.core.faults import Fault, FaultError
 from backend.runs.bench import EpisodeStore
 from backend.runs.plan import CancelledError, Checkpoint, Plan, StoppedError
@@ -63,8 +64,20 @@ def no_plan_saved(folder: Path) -> Fault:
     return Fault(
         FULL,
         f"The disk of {folder} is full: the plan of the campaign could not be saved.",
-        "Every probe is safe; places that were left out will be probed when it goes on.",
+        "Every probe and decision is safe; places given up after three refused probes are tried "
+        "again when it goes on.",
         "Make room on this disk, then press Reset.",
+        "store",
+    )
+
+
+def not_decided(folder: Path, decision: Decision, item: int) -> Fault:
+    """Return what to say where a run ended and its last decision could not be saved."""
+    return Fault(
+        FULL,
+        f"The disk of {folder} is full: '{decision}' for item {item + 1} could not be saved.",
+        "The probe stays in the dataset as it was.",
+        "Make room on this disk, press Reset, choose the probe and decide again.",
         "store",
     )
 

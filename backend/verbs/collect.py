@@ -254,12 +254,12 @@ def _request(args: argparse.Namespace, dataset: Dataset, person: str) -> Collect
 def _report(dataset: Dataset, session: Session, told: _Told, screen: Screen) -> int:
     from backend.catalogue.values import EpisodeFilter
     from backend.dataset.health import examine
-    from backend.runs.campaign import read_campaign
+    from backend.runs.campaign import campaign_now
     from backend.runs.collect_report import coverage_of, examined
 
     assert told.began is not None
     assert told.ended is not None
-    campaign = read_campaign(dataset.folder, told.began.campaign)
+    campaign = campaign_now(dataset, told.began.campaign)
     entries = dataset.episodes(EpisodeFilter(campaign=campaign.uuid))
     piece, bottom = (session.catalogue.piece(n) for n in (campaign.piece, campaign.bottom))
     seen = coverage_of(dataset, entries, piece.face, bottom.face)

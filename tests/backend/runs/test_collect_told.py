@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from app.collect.decide import decide_stored
 from backend.assembly import simulated_session
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.labels import LabelBook
@@ -15,6 +16,7 @@ from backend.catalogue.values import EpisodeFilter
 from backend.core.facts import (
     EpisodeDecided,
     EpisodeRecorded,
+    FaultRaised,
     Paused,
     ProbeCollected,
     RunFinished,
@@ -22,10 +24,11 @@ from backend.core.facts import (
 from backend.core.faults import Fault, FaultError
 from backend.runs import campaign as campaigns
 from backend.runs import collecting
-from backend.runs.campaign import newest_campaign, read_campaign
+from backend.runs.campaign import campaign_now, newest_campaign, read_campaign
 from backend.runs.collected import Measured
 from backend.runs.collecting import Collector
 from backend.runs.judged import Felt
+from backend.runs.plan import CancelledError
 from backend.runs.requests import CollectRequest
 from backend.session import Keep
 from tests.app.label.conftest import make_episode
@@ -138,7 +141,67 @@ def test_the_plan_waits_for_room_before_and_after_a_mounting(
     assert len([fact for fact in facts if isinstance(fact, Paused)]) == 1
     assert facts[-1].ending == ("finished" if room_made else "cancelled")
     assert len(stored) == (0 if nth == 1 and not room_made else 1)
+    folder = tmp_path / "ds"
     if room_made:
-        folder = tmp_path / "ds"
         kept = read_campaign(folder, newest_campaign(folder))
         assert (kept.mountings, kept.skipped) == (1, (0,))
+    elif nth == 2:
+        assert skipped_items(folder) == (0,)
+
+
+def skipped_items(folder):
+    """Return the items that a campaign leaves out when it goes on."""
+    with Dataset.open(folder) as dataset:
+        plan = campaign_now(dataset, newest_campaign(folder))
+        assert plan.todo(dataset.episodes()) == []
+        return plan.skipped
+
+
+def test_what_was_decided_just_before_a_cancel_is_carried_out(collect, tmp_path):
+    def cancelled(collector, bench):
+        yield from collector._settled(bench)
+        collector._decisions.give("skip")
+        raise CancelledError("by the operator")
+
+    facts, _, _ = collect(cancelled)
+    assert [fact.decision for fact in facts if isinstance(fact, EpisodeDecided)] == ["skip"]
+    assert facts[-1].ending == "cancelled"
+    assert skipped_items(tmp_path / "ds") == (0,)
+
+
+@pytest.mark.parametrize("refusals", [1, 2])
+def test_a_cancel_while_a_skip_waits_for_room_does_not_lose_it(
+    collect, tmp_path, monkeypatch, refusals
+):
+    """There is room for it again at the end; or there is not: then the card says what to do."""
+    delete, refused = LabelBook.delete, []
+
+    def full(self, *args):
+        if len(refused) < refusals:
+            refused.append(args)
+            raise FaultError(Fault("DISK-FULL", "The disk is full.", "Not saved.", "Room."))
+        delete(self, *args)
+
+    monkeypatch.setattr(LabelBook, "delete", full)
+    facts, (uuid,), _ = collect(skip_the_probe, lambda session: session.engine.cancel(), Paused)
+    assert facts[-1].ending == "cancelled"
+    decided = [fact.decision for fact in facts if isinstance(fact, EpisodeDecided)]
+    cards = [fact.fault for fact in facts if isinstance(fact, FaultRaised)]
+    if refusals == 1:
+        assert (decided, cards) == (["skip"], [])
+    else:
+        assert decided == []
+        assert [card.code for card in cards] == ["DISK-FULL"]
+        assert "'skip' for item 1" in cards[0].what
+        with Dataset.open(tmp_path / "ds", person="ann") as dataset:
+            held = decide_stored(dataset, "ann", uuid, "skip")
+            assert held.entry.deleted
+    assert skipped_items(tmp_path / "ds") == (0,)
+
+
+def test_a_skipped_probe_that_is_brought_back_is_done(collect, tmp_path):
+    _, (uuid,), _ = collect(skip_the_probe)
+    with Dataset.open(tmp_path / "ds", person="ann") as dataset:
+        dataset.labels.restore("ann", uuid)
+        plan = campaign_now(dataset, newest_campaign(tmp_path / "ds"))
+        assert plan.todo(dataset.episodes()) == []

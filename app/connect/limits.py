@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import getpass
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from datetime import datetime
@@ -32,7 +33,7 @@ TITLES = {
     "contact_speed_mm_s": "Speed near contact",
     "recovery_mm_s": "Speed in recovery",
     "near_mm": "Near the surface below",
-    "tilt_rad": "Tilt of the hand",
+    "tilt_rad": "Lean of the hand",
     "turn_rad_s": "Speed of turning",
     "turn_clear_mm": "Room below to turn",
     "contact_n": "Counts as contact",
@@ -46,10 +47,13 @@ TITLES = {
     "frame_age_s": "Oldest picture",
 }
 """Every limit, in the order of the sheet."""
+ANGLES = ("_rad", "_rad_s")
+"""Names that end so hold radians; people read and write degrees."""
+BOUNDS = {"gt": "must be above", "ge": "must be at least", "le": "must be at most"}
 UNITS = {
     "mm_s": "mm/s",
-    "rad_s": "rad/s",
-    "rad": "rad",
+    "rad_s": "\N{DEGREE SIGN}/s",
+    "rad": "\N{DEGREE SIGN}",
     "nm": "N\N{MIDDLE DOT}m",
     "mm": "mm",
     "n": "N",
@@ -87,15 +91,18 @@ class LimitsPresenter:
 
     def _offer(self, values: Mapping[str, float]) -> str:
         """Ask whether to take ``values``; return why they cannot be taken, "" if they can."""
+        held = asdict(self._link.interlock.limits)
         try:
-            wanted = Limits(**LimitSettings(**values).model_dump())
+            settings = LimitSettings(**{n: meant(n, v, held[n]) for n, v in values.items()})
+            wanted = Limits(**settings.model_dump())
         except ValidationError as error:
-            return error.errors()[0]["msg"].removeprefix("Value error, ")
+            return why_not(error)
         pairs = changed(self._link.interlock.limits, wanted)
         if not pairs:
             return "Nothing is changed."
         told = "; ".join(
-            f"{TITLES[name]} {old:g} \N{RIGHTWARDS ARROW} {new:g} {unit_of(name)}"
+            f"{TITLES[name]} {shown(name, old):g} \N{RIGHTWARDS ARROW} {shown(name, new):g}"
+            f"{spaced(unit_of(name))}"
             for name, (old, new) in pairs.items()
         )
         assert self.sheet is not None
@@ -127,7 +134,40 @@ class LimitsPresenter:
 def rows_of(limits: Limits) -> list[LimitRow]:
     """Return all limits, with units."""
     values = asdict(limits)
-    return [LimitRow(name, title, values[name], unit_of(name)) for name, title in TITLES.items()]
+    return [
+        LimitRow(name, title, shown(name, values[name]), spaced(unit_of(name)))
+        for name, title in TITLES.items()
+    ]
+
+
+def why_not(error: ValidationError) -> str:
+    """Return what is wrong with the first limit that is, by the words of the sheet."""
+    first = error.errors()[0]
+    name = str(first["loc"][0]) if first["loc"] else ""
+    for bound, value in first.get("ctx", {}).items():
+        if name in TITLES and bound in BOUNDS:
+            return f"{TITLES[name]}: {BOUNDS[bound]} {shown(name, value):g}{spaced(unit_of(name))}."
+    text = first["msg"].removeprefix("Value error, ")
+    for known, title in TITLES.items():
+        text = text.replace(f"'{known}'", f"'{title}'")
+    return f"{text}."
+
+
+def shown(name: str, value: float) -> float:
+    """Return a limit as people read it: what turns in degrees, all else as it is kept."""
+    return round(math.degrees(value), 9) if name.endswith(ANGLES) else value
+
+
+def meant(name: str, read: float, held: float) -> float:
+    """Return the limit that people mean by ``read``; one that nobody touched stays ``held``."""
+    if read == shown(name, held):
+        return held
+    return math.radians(read) if name.endswith(ANGLES) else read
+
+
+def spaced(unit: str) -> str:
+    """Return a unit as it follows its number: degrees without a space."""
+    return unit if unit.startswith("\N{DEGREE SIGN}") else f" {unit}"
 
 
 def unit_of(name: str) -> str:

@@ -21,11 +21,13 @@ from widgets.panel import label, rule
 
 WIDEST = 2000.0
 COLUMNS = 2
+FINE = "N\N{MIDDLE DOT}m"
+"""Values of this unit have more decimals."""
 
 
 @dataclass(frozen=True, slots=True)
 class LimitRow:
-    """One limit: its name in the file, what it is, value and unit."""
+    """One limit: its name in the file, what it is, value and unit as it follows the value."""
 
     name: str
     title: str
@@ -46,7 +48,8 @@ class LimitsSheet(QDialog):
         self.question = QuestionRow()
         self._grid = QGridLayout()
         self._grid.setHorizontalSpacing(20)
-        self._grid.setVerticalSpacing(6)
+        # The least window shows the sheet below its bar.
+        self._grid.setVerticalSpacing(2)
         self.boxes: dict[str, QDoubleSpinBox] = {}
         self._shown: dict[str, tuple[float, float]] = {}
         self.edit = QPushButton("Unlock")
@@ -83,7 +86,7 @@ class LimitsSheet(QDialog):
             button.setAutoDefault(False)
         column = QVBoxLayout(self)
         column.setContentsMargins(18, 14, 18, 14)
-        column.setSpacing(10)
+        column.setSpacing(8)
         column.addWidget(label("Limits of motion and force", "head"))
         column.addWidget(self.source)
         column.addWidget(rule())
@@ -100,8 +103,8 @@ class LimitsSheet(QDialog):
         for index, row in enumerate(rows):
             box = self.boxes[row.name] = QDoubleSpinBox()
             box.setRange(-WIDEST, WIDEST)
-            box.setDecimals(1 if row.unit in ("mm", "mm/s", "N", "s") else 3)
-            box.setSuffix(f" {row.unit}")
+            box.setDecimals(3 if row.unit.endswith(FINE) else 1)
+            box.setSuffix(row.unit)
             box.setAccessibleName(row.title)
             box.setKeyboardTracking(False)
             inset(box)

@@ -1,5 +1,6 @@
 """The Connect panel and the limits: every step shown, nothing changed without a second word."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -171,7 +172,7 @@ def test_on_devices_each_move_is_asked_for(lab):
 def test_every_limit_is_shown_with_its_unit():
     assert {row.name for row in rows_of(Limits())} == {*Limits.__dataclass_fields__}
     assert [unit_of(n) for n in ("trip_nm", "trip_n", "jog_mm_s", "turn_rad_s", "tilt_rad")] == [
-        "N\N{MIDDLE DOT}m", "N", "mm/s", "rad/s", "rad",
+        "N\N{MIDDLE DOT}m", "N", "mm/s", "\N{DEGREE SIGN}/s", "\N{DEGREE SIGN}",
     ]  # fmt: skip
     assert len(TITLES) == len(rows_of(Limits()))
 
@@ -209,8 +210,26 @@ def test_limits_that_contradict_each_other_are_not_even_offered(lab, bench):
     sheet.edit.click()
     sheet.boxes["press_n"].setValue(50.0)
     sheet.take.click()
-    assert sheet.said.text() == "'press_n' is above 'trip_n'"
+    assert sheet.said.text() == "'Press' is above 'Stops motion, force (two samples)'."
     assert not sheet.question.isVisible()
+
+
+def test_what_turns_is_read_and_written_in_degrees(lab, bench):
+    sheet = limits_sheet(lab)
+    assert sheet.boxes["tilt_rad"].text() == "15.0\N{DEGREE SIGN}"
+    assert sheet.boxes["turn_rad_s"].text() == "15.0\N{DEGREE SIGN}/s"
+    sheet.edit.click()
+    sheet.boxes["tilt_rad"].setValue(91.0)
+    sheet.take.click()
+    assert sheet.said.text() == "Lean of the hand: must be at most 90\N{DEGREE SIGN}."
+    sheet.boxes["tilt_rad"].setValue(10.0)
+    sheet.take.click()
+    assert "Lean of the hand 15 \N{RIGHTWARDS ARROW} 10\N{DEGREE SIGN}?" in (
+        sheet.question.text.text()
+    )
+    sheet.question.yes.click()
+    # The speed of turning, whose digits no box shows, is not touched by it.
+    assert bench.interlock.limits == replace(Limits(), tilt_rad=math.radians(10.0))
 
 
 def test_limits_stay_while_something_moves(lab, bench):

@@ -50,10 +50,10 @@ def _stacked(tables: Json, answers: Iterable[Json]) -> Cells:
     cells: Cells = {}
     for row in tables["table3"]:
         for cell in row["cells"]:
-            if "outcomes" in cell:
+            if row["strategy"] == PAPER and "outcomes" in cell:
                 unsafe = rate(cell["unsafe_releases"], cell["n"]).as_json()
                 same = {**cell, "placed": cell, "unsafe": unsafe, "jobs": (cell["job"],)}
-                _keep_larger(cells, row["strategy"], same, cell["n"])
+                _keep_larger(cells, PAPER, same, cell["n"])
     for answer in answers:
         for cell in answer["cells"]:
             _keep_larger(cells, cell["strategy"], cell, cell["placed"]["n"])

@@ -11,8 +11,8 @@ import numpy as np
 
 from backend.dataset.rows import patch_bits
 from backend.experiments.charts import patch_picture, reliability_chart, scatter, twin_traces
-from backend.experiments.drawing import harmless
 from backend.experiments.document import Entry, Gallery, Grid, Picture, Report, Section
+from backend.experiments.drawing import harmless
 from backend.experiments.strategies_report import strategy_sections
 from backend.experiments.words import counts_of, entry_of, percent
 from backend.objects.tower import TOO_CLOSE_MM

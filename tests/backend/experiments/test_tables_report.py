@@ -86,7 +86,7 @@ def test_each_strategy_has_its_column_and_the_largest_count_of_it(full: Json) ->
     report = report_of({**full, "beyond": [answer(small, tower), answer(large)]})
     grid = grid_of(report, "Table 3 by strategy")
     names = [name for name, _ in grid.columns]
-    assert names == ["Paper's", "Outlines and pressure", "Learned fusion", "Pick and place"]
+    assert names == ["Paper's", "Outlines and pressure", "Learned fusion"]
     rows = dict(grid.rows)
     fused = rows["Pot on short"][2]
     assert fused.value == "60.0"

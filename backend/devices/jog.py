@@ -34,6 +34,8 @@ __all__ = ["STEPS_DEG", "STEPS_MM", "Around", "Jog", "JogOrder", "JogState"]
 
 STEPS_MM = (0.1, 0.5, 1.0, 5.0)
 STEPS_DEG = (0.5, 1.0, 5.0)
+LATE_S = 0.1
+"""A bench that is not served for so long has no computer to itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +76,7 @@ class Jog:
         self._arm, self._interlock, self._around, self._tell = arm, interlock, around, tell
         self._lock = threading.Lock()
         self._order: JogOrder | None = None
-        self._taken_s = 0.0
+        self._taken_s = self._ticked_s = self._late_s = 0.0
         self._ended = 0
         self._step: tuple[Motion, _Going] | None = None
         self._held: Motion | None = None
@@ -114,7 +116,9 @@ class Jog:
             raise
         with self._lock:
             if order.hold > self._ended:
-                self._order, self._taken_s = order, self._around.wall_s()
+                wall_s = self._around.wall_s()
+                self._order, self._taken_s = order, wall_s
+                self._ticked_s, self._late_s = wall_s, 0.0
 
     def end(self, hold: int) -> None:
         """End a hold, from any cause and any number of times: the arm stands still."""
@@ -158,13 +162,15 @@ class Jog:
         if self._step is not None:
             self._watch_step(*self._step)
         with self._lock:
-            order, taken_s = self._order, self._taken_s
+            order, wall_s = self._order, self._around.wall_s()
+            silent_s = wall_s - self._taken_s
+            self._late_s, self._ticked_s = max(self._late_s, wall_s - self._ticked_s), wall_s
         if order is None:
             return
         try:
-            around = self._around
-            if max(around.now_s() - order.sent_s, around.wall_s() - taken_s) > LEASE_S:
-                raise RefusedError("JOG-LEASE", "The jog was not renewed in time: it ended.")
+            silent_s = max(silent_s, self._around.now_s() - order.sent_s)
+            if silent_s > LEASE_S:
+                raise RefusedError("JOG-LEASE", _silence_words(silent_s, self._late_s))
             self._refuse_if_taken()
             self._refuse_failed()
             speed, slow = self._permit.speed(order.axis, order.frame, order.speed)
@@ -270,6 +276,17 @@ class _Going:
     axis: Axis
     frame: Frame
     signed: float
+
+
+def _silence_words(silent_s: float, late_s: float) -> str:
+    """Say why a lease ran out: a window alone that is silent hangs, else the whole computer."""
+    said = f"The jog ended: nothing renewed it for {1e3 * silent_s:.0f} ms."
+    if late_s > LATE_S:
+        return (
+            f"{said} The bench came late as well, by {1e3 * late_s:.0f} ms: this computer is "
+            "overloaded. Close what else runs, then hold again."
+        )
+    return f"{said} The window hung; hold again."
 
 
 def _failure(motion: Motion) -> Fault | None:

@@ -98,7 +98,9 @@ def test_a_frozen_window_stops_the_arm_within_the_lease(high):
         if not np.array_equal(before, position(high)):
             moved_s = high.clock_s()
     assert 0.2 < moved_s - last_s <= MOST_S
-    assert [f.reason for f in facts if isinstance(f, Refused)] == ["JOG-LEASE"]
+    (refused,) = [f for f in facts if isinstance(f, Refused)]
+    assert refused.reason == "JOG-LEASE"
+    assert "The window hung" in refused.text
     assert not high.hand.active
 
 
@@ -108,6 +110,7 @@ def test_a_bench_that_falls_behind_stops_by_the_wall_clock(high, monkeypatch):
     monkeypatch.setattr(
         high.hand.jog, "_around", replace(high.hand.jog._around, wall_s=lambda: wall[0])
     )
+    facts = told(high)
     high.hand.jog.renew(order(high))
     moved = 0.0
     for _ in range(10):
@@ -117,6 +120,8 @@ def test_a_bench_that_falls_behind_stops_by_the_wall_clock(high, monkeypatch):
         if not np.array_equal(before, position(high)):
             moved = wall[0]
     assert 0.0 < moved <= LEASE_S + 10 * STEP_S
+    (refused,) = [f for f in facts if isinstance(f, Refused)]
+    assert "came late as well, by 200 ms: this computer is overloaded" in refused.text
 
 
 def test_after_expiry_only_a_new_press_moves(high):

@@ -172,20 +172,20 @@ class Decisions:
 
     def undo(self) -> None:
         """Take back the person's last action, whatever it was and whenever."""
-        person, book = self._on.sitting.person, self._on.shown
+        person, book = self._on.sitting.person, self._on.book
         self._reversed(lambda: book.undo(person), "Undone")
 
     def redo(self) -> None:
         """Take back the last undo."""
-        person, book = self._on.sitting.person, self._on.shown
+        person, book = self._on.sitting.person, self._on.book
         self._reversed(lambda: book.redo(person), "Done again")
 
-    def _reversed(self, work: Callable[[], Operation | str | None], word: str) -> None:
-        def done(found: Operation | str | None) -> None:
+    def _reversed(self, work: Callable[[], Operation | None], word: str) -> None:
+        def done(found: Operation | None) -> None:
             if found is None:
                 self._page.say("There is nothing to take back.")
             else:
-                self._show(episodes_of(found) if isinstance(found, Operation) else [found], word)
+                self._show(found.episodes, word)
 
         self._on.flushed(lambda: self._on.saving.save(work, done))
 
@@ -195,12 +195,12 @@ class Decisions:
                 self._on.walk.take(self._on.entry(uuid))
         here = self._on.present.item.entry.uuid if self._on.present is not None else ""
         places = [at for uuid in touched if (at := self._on.walk.find(uuid)) >= 0]
-        many = "" if len(touched) == 1 else f" on {len(touched)} episodes"
+        said = f"{word}." if len(touched) == 1 else f"{word} on {len(touched)} episodes."
         if here in touched or not places:
             self._on.reload()
+            self._page.say(said)
         else:
-            self._on.show_at(places[0])
-        self._page.say(f"{word}{many}.")
+            self._on.show_at(places[0], said)
 
     def _with_present(
         self,
@@ -224,10 +224,3 @@ class Decisions:
     ) -> None:  # fmt: skip
         if self._on.saving.trouble is None:
             self._on.saving.after(lambda: self._page.choice.ask(title, choices, answer))
-
-
-def episodes_of(operation: Operation) -> list[str]:
-    """Return the episodes that an operation touched."""
-    body: Any = operation.body
-    parts = [*body.get("revs", ()), *body.get("marks", ())]
-    return list(dict.fromkeys(str(part["episode"]) for part in parts))

@@ -12,7 +12,7 @@ from app.label.page import LabelPage
 from app.label.saving import Intent, Saving
 from app.label.sigma import ask_sigma
 from app.label.sitting import Present, Sitting
-from backend.catalogue.gold import GoldBook
+from backend.catalogue.gold_book import GoldBook
 from backend.catalogue.values import Revision
 from widgets.offset_scene import Point
 

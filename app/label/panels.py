@@ -22,7 +22,7 @@ class SidePresenter:
     def show(self, text: str) -> None:
         """Fill the view in front; ``text`` is what to look for in the log."""
         if self._side.tab == LOG:
-            book = self._presenter.book
+            book = self._presenter.shown
             self._commits.submit(
                 lambda: book.log(text=text, limit=MOST_LINES), self._show_log, self._failed
             )

@@ -23,7 +23,7 @@ from app.label.sitting import Chosen, Present, Sitting
 from app.label.walk import Queue, Walk, read_queue
 from app.label.words import FINDING, asks_for, clock, history_rows
 from backend.catalogue.dataset import Dataset
-from backend.catalogue.gold import GoldBook
+from backend.catalogue.gold_book import GoldBook
 from backend.catalogue.values import EpisodeEntry, Looked
 
 OTHER = "Ctrl+J chooses another queue."
@@ -150,8 +150,9 @@ class LabelPresenter:
             self.reload()
         self._go(self.walk.at + 1)
 
-    def show_at(self, at: int) -> None:
-        """Show another place of the queue; there is no edit to save."""
+    def show_at(self, at: int, said: str) -> None:
+        """Show another place of the queue, and say something there; there is no edit to save."""
+        self._news = said
         self._go(at)
 
     def _go(self, at: int) -> None:

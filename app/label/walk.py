@@ -9,7 +9,7 @@ from app.label.prefetch import Prefetch, around
 from app.label.sitting import Sitting
 from app.label.words import FINDING, blind_row, row_of
 from backend.catalogue.dataset import Dataset
-from backend.catalogue.gold import Shown, disguised, mixed
+from backend.catalogue.gold import Shown, with_gold
 from backend.catalogue.values import EpisodeEntry
 from backend.core.faults import InputError
 from widgets.label_list import LabelList, LabelRow
@@ -29,14 +29,8 @@ def read_queue(dataset: Dataset, sitting: Sitting) -> Queue:
     order = [uuid for uuid in order if uuid in entries]
     if s.queue != "unlabelled":
         return order, entries, {}
-    gold = dataset.queue("gold", s.person, seed=s.seed)
-    order = mixed(order, gold)
-    times_ns = disguised(order, entries, gold)
-    return (
-        order,
-        entries,
-        {uuid: (at_ns, dataset.labels.history(uuid)[0]) for uuid, at_ns in times_ns.items()},
-    )
+    order, gold = with_gold(dataset, s.person, order, entries, s.seed)
+    return order, entries, gold
 
 
 class Walk:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
-from typing import Any
 
 from backend.catalogue.values import EpisodeEntry, Label, LabelState, Operation, Revision, Source
 from widgets.history_list import HistoryRow
@@ -142,9 +141,8 @@ def blind_row(entry: EpisodeEntry, *, answered: bool) -> LabelRow:
 
 def operation_words(operation: Operation) -> str:
     """Return one action as the log shows it."""
-    body: Any = operation.body
-    episodes = {part["episode"] for part in (*body.get("revs", ()), *body.get("marks", ()))}
+    episodes = operation.episodes
     what = operation.verb.removeprefix("label.").replace("_", " ")
-    which = f"{len(episodes)} episodes" if len(episodes) != 1 else f"episode {min(episodes)[-8:]}"
+    which = f"{len(episodes)} episodes" if len(episodes) != 1 else f"episode {episodes[0][-8:]}"
     when = f"{datetime.fromtimestamp(operation.at_ns / 1e9):%Y-%m-%d %H:%M:%S}"
     return f"{when}  {operation.actor}: {what}, {which}"

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from backend.catalogue import heads
+from backend.catalogue import apart, heads
 from backend.catalogue.database import Database
 from backend.catalogue.operations import (
     COLUMNS,
@@ -20,7 +20,7 @@ from backend.catalogue.operations import (
     read_revision,
 )
 from backend.catalogue.review import Standing
-from backend.catalogue.values import Operation, Revision
+from backend.catalogue.values import Operation, Revision, Step
 from backend.core.faults import InputError
 from backend.core.flow import FloatArray
 
@@ -93,6 +93,18 @@ class LabelReader:
         """Return the marks on an episode (flag, deleted, tags) and the note of each."""
         sql = "SELECT name, note FROM mark WHERE episode = ? AND present ORDER BY name"
         return dict(self._database.rows(sql, (uuid,)))
+
+    def steps_apart(self, person: str, uuid: str) -> list[Step]:
+        """Return what ``person`` did to an episode as gold, oldest first."""
+        with self._database.reading() as connection:
+            return apart.steps_of(connection, person, uuid)
+
+    def left_apart(self, person: str) -> dict[str, Step]:
+        """Return what ``person`` did last to each episode that was gold to them."""
+        if self._database.schema_version < apart.SINCE_SCHEMA:
+            return {}
+        with self._database.reading() as connection:
+            return apart.last_steps(connection, person)
 
     def counting(self, uuid: str) -> Revision | None:
         """Return the approved revision that training uses, or None."""

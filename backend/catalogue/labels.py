@@ -13,7 +13,7 @@ from dataclasses import asdict, replace
 from threading import RLock
 from typing import Any
 
-from backend.catalogue import bulk, heads, operations, review
+from backend.catalogue import apart, bulk, heads, operations, review
 from backend.catalogue.bulk import Change, Preview
 from backend.catalogue.database import Database
 from backend.catalogue.journal import Journal
@@ -32,6 +32,7 @@ from backend.catalogue.values import (
     Operation,
     Revision,
     Source,
+    Step,
     Verdict,
 )
 from backend.core.faults import InputError, RefusedError
@@ -170,6 +171,14 @@ class LabelBook(LabelReader):
             standing_of(connection, uuid)
             draft.opinions.append({"episode": uuid, "verdict": verdict} | asdict(label))
 
+    def keep_apart(
+        self, person: str, verb: str, step: Step, *, looked: Looked | None = None
+    ) -> None:
+        """Keep what ``person`` did to gold: a step of undo like any other, but in no label."""
+        with self._act(person, verb, looked) as (connection, draft, _):
+            standing_of(connection, step.version.episode)
+            apart.add(draft, step)
+
     def restore_revision(self, person: str, uuid: str, rev_uuid: str) -> Revision:
         """Write an old revision again, as a draft with its own source."""
         with self._database.reading() as connection:
@@ -243,11 +252,6 @@ class LabelBook(LabelReader):
     def can_redo(self, person: str) -> bool:
         """Whether ``person`` has an undo to take back."""
         return bool(self._stack(person).redo)
-
-    def last_step(self, person: str) -> str | None:
-        """Return the operation that ``undo`` would take back, None if there is none."""
-        stack = self._stack(person).undo
-        return stack[-1] if stack else None
 
     def undo(self, person: str) -> Operation | None:
         """Take back the last action of ``person``; None if there is none.
@@ -325,7 +329,7 @@ class LabelBook(LabelReader):
             operation = None
             with self.commit() as connection:
                 yield connection, draft, name
-                if draft.revs or draft.marks or draft.opinions:
+                if draft.revs or draft.marks or draft.opinions or draft.apart:
                     operation = self._append(connection, name, verb, draft)
             if operation is not None:
                 self._note(operation)

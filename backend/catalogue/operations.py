@@ -40,7 +40,10 @@ class Mark(TypedDict):
 
 @dataclass(slots=True)
 class Draft:
-    """What one action is about to write. ``copies``: whose content a revision writes again."""
+    """What one action is about to write. ``copies``: whose content a revision writes again.
+
+    ``apart``: steps on gold, which are in no label.
+    """
 
     revs: list[dict[str, Any]] = field(default_factory=list)
     closes: list[str] = field(default_factory=list)
@@ -48,6 +51,7 @@ class Draft:
     copies: dict[str, str] = field(default_factory=dict)
     reviews: list[Mapping[str, object]] = field(default_factory=list)
     opinions: list[Mapping[str, object]] = field(default_factory=list)
+    apart: list[Mapping[str, object]] = field(default_factory=list)
     extra: dict[str, object] = field(default_factory=dict)
 
     def add_copy(self, revision: dict[str, Any], source: str) -> None:
@@ -58,7 +62,7 @@ class Draft:
     def body(self) -> dict[str, object]:
         """Return the body of the operation; empty optional parts are left out."""
         body: dict[str, object] = {"closes": list(self.closes), "revs": list(self.revs)}
-        for name in ("marks", "copies", "reviews", "opinions"):
+        for name in ("marks", "copies", "reviews", "opinions", "apart"):
             if getattr(self, name):
                 body[name] = getattr(self, name)
         return body | self.extra
@@ -178,6 +182,8 @@ def _store_body(connection: sqlite3.Connection, operation: Operation) -> None:
             " :verdict)",
             {**opinion, "op_uuid": operation.op_uuid},
         )
+    for step in body.get("apart", ()):
+        connection.execute(_INSERT_APART, {**step, "op_uuid": operation.op_uuid})
 
 
 _INSERT_REVISION = """
@@ -185,6 +191,11 @@ INSERT INTO label_rev (rev_uuid, op_uuid, episode, parent, x_um, y_um, theta_mde
     source, state, reason, verdict, geometry, note, copy_of)
 VALUES (:rev_uuid, :op_uuid, :episode, :parent, :x_um, :y_um, :theta_mdeg, :sigma_um,
     :source, :state, :reason, :verdict, :geometry, :note, :copy_of)
+"""
+_INSERT_APART = """
+INSERT INTO apart VALUES (:op_uuid, :episode, :rev_uuid, :parent, :x_um, :y_um, :theta_mdeg,
+    :sigma_um, :source, :state, :reason, :verdict, :geometry, :note, :copy_of, :deleted, :skipped,
+    :shown_ns, :beside)
 """
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from hashlib import blake2b
 from typing import Literal, get_args
 
+from backend.catalogue import apart
 from backend.catalogue.database import Database
 from backend.core.faults import InputError
 
@@ -44,7 +45,8 @@ def queue(
       not yet approved, for choosing what to label and train on
     - coverage: not yet approved, squares with the fewest approved labels first
     - conflicts: two labels since a merge; audit: a share drawn by ``seed``
-    - gold: a share of the approved labels of others, to be answered blind, once each
+    - gold: a share of the approved labels of others, to be answered blind, once each;
+      what they answered and took back is among them again
     """
     if name not in QUEUES:
         raise InputError(f"There is no queue '{name}'.", "queue", f"Use {', '.join(QUEUES)}.")
@@ -129,13 +131,21 @@ def _audit(database: Database, person: str, seed: int, limit: int) -> list[str]:
 def _gold(database: Database, person: str, seed: int, limit: int) -> list[str]:
     sql = "SELECT episode FROM label_head WHERE stage = 'approved' AND instr(authors, ?) = 0"
     drawn = _drawn(_ids(database, sql, f"\n{person}\n"), seed, -1)
-    answered = set(
-        _ids(
-            database, "SELECT episode FROM opinion JOIN op USING (op_uuid) WHERE actor = ?", person
-        )
-    )
+    answered = _answered(database, person)
     left = [uuid for uuid in drawn if uuid not in answered]
     return left if limit < 0 else left[:limit]
+
+
+def _answered(database: Database, person: str) -> set[str]:
+    """Return the episodes with an opinion of ``person`` that they did not take back since."""
+    sql = "SELECT episode FROM opinion JOIN op USING (op_uuid) WHERE actor = ?"
+    if database.schema_version < apart.SINCE_SCHEMA:
+        return set(_ids(database, sql, person))
+    by_itself = " AND NOT EXISTS (SELECT 1 FROM apart a WHERE a.op_uuid = opinion.op_uuid)"
+    with database.reading() as connection:
+        steps = apart.last_steps(connection, person)
+    decided = {uuid for uuid, step in steps.items() if step.answer is not None}
+    return decided.union(_ids(database, sql + by_itself, person))
 
 
 def _drawn(uuids: list[str], seed: int, limit: int) -> list[str]:

@@ -29,6 +29,8 @@ COMPARED = {
     "closed": "*",
     "mark": "*",
     "review": "*",
+    "opinion": "*",
+    "apart": "*",
     "label_head": "*",
     "series": "uuid, started_ns, person, campaign, mode, bench",
     "episode": "uuid, series, campaign, plan_item, kind, path, chunk_off, chunk_len, sha256, bytes,"

@@ -3,13 +3,13 @@
 Append-only tables refuse UPDATE and DELETE, and REPLACE as well: SQLite deletes the replaced row
 without firing delete triggers, so a trigger before the insert has to find the key first.
 ``label_rev``, ``closed``, ``mark``, ``review`` and ``opinion`` say what the operations say;
-``label_head`` follows from them.
+``label_head`` follows from them. So does ``apart``: what one person did to gold, which is no label.
 """
 
 from __future__ import annotations
 
 APPLICATION_ID = 0x546F7563
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 
 TABLES = """
 CREATE TABLE series (
@@ -139,24 +139,6 @@ CREATE TABLE checked_folder (
 ) WITHOUT ROWID;
 """
 
-STEPS = {1: RUNS, 2: CHECKED}
-"""What brings a catalogue of each older schema to the next one."""
-
-KEYS = {
-    "op": "op_uuid = NEW.op_uuid OR (site = NEW.site AND seq = NEW.seq)",
-    "label_rev": "rev_uuid = NEW.rev_uuid",
-    "review": "op_uuid = NEW.op_uuid AND rev_uuid = NEW.rev_uuid",
-    "opinion": "op_uuid = NEW.op_uuid AND episode = NEW.episode",
-    "event": "id = NEW.id",
-}
-"""The append-only tables and what makes a row of them the same row."""
-
-
-def statements() -> str:
-    """Return everything a new catalogue needs: the first schema and all steps since."""
-    guards = "".join(_guards(table, key) for table, key in KEYS.items())
-    return TABLES + guards + "".join(STEPS.values())
-
 
 def _guards(table: str, key: str) -> str:
     stop = f"BEGIN SELECT RAISE(ABORT, '{table} is append-only'); END;\n"
@@ -166,3 +148,34 @@ def _guards(table: str, key: str) -> str:
         f"CREATE TRIGGER {table}_no_delete BEFORE DELETE ON {table} {stop}"
         f"CREATE TRIGGER {table}_no_replace BEFORE INSERT ON {table} WHEN {known} {stop}"
     )
+
+
+APART = """
+CREATE TABLE apart (
+    op_uuid TEXT NOT NULL REFERENCES op (op_uuid), episode TEXT NOT NULL, rev_uuid TEXT NOT NULL,
+    parent TEXT, x_um INTEGER, y_um INTEGER, theta_mdeg INTEGER, sigma_um INTEGER,
+    source TEXT NOT NULL, state TEXT NOT NULL, reason TEXT, verdict TEXT, geometry TEXT NOT NULL,
+    note TEXT NOT NULL, copy_of TEXT, deleted TEXT NOT NULL, skipped INTEGER NOT NULL,
+    shown_ns INTEGER NOT NULL, beside TEXT NOT NULL, PRIMARY KEY (op_uuid, episode)
+);
+CREATE INDEX apart_episode ON apart (episode);
+""" + _guards("apart", "op_uuid = NEW.op_uuid AND episode = NEW.episode")
+"""Of each step on gold what the person sees after it, and where and when the episode is shown."""
+
+STEPS = {1: RUNS, 2: CHECKED, 3: APART}
+"""What brings a catalogue of each older schema to the next one."""
+
+KEYS = {
+    "op": "op_uuid = NEW.op_uuid OR (site = NEW.site AND seq = NEW.seq)",
+    "label_rev": "rev_uuid = NEW.rev_uuid",
+    "review": "op_uuid = NEW.op_uuid AND rev_uuid = NEW.rev_uuid",
+    "opinion": "op_uuid = NEW.op_uuid AND episode = NEW.episode",
+    "event": "id = NEW.id",
+}
+"""The append-only tables of the first schema and what makes a row of them the same row."""
+
+
+def statements() -> str:
+    """Return everything a new catalogue needs: the first schema and all steps since."""
+    guards = "".join(_guards(table, key) for table, key in KEYS.items())
+    return TABLES + guards + "".join(STEPS.values())

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from backend.catalogue import apart
 from backend.catalogue.heads import Node, leaves_of, read_nodes
 from backend.catalogue.operations import (
     REVERSING,
@@ -89,6 +90,8 @@ def inverse(connection: sqlite3.Connection, operation: Operation) -> Draft:
         _renumber(connection, draft)
     for mark in body.get("marks", ()):
         draft.marks.append(_unmark(connection, operation, mark))
+    for step in body.get("apart", ()):
+        apart.take_back(connection, draft, operation, step["episode"])
     return draft
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -101,7 +101,8 @@ class Operation:
     """One action of one person: a link of the chain of its site, and one step of undo.
 
     ``body``: ``closes`` (revisions it retires), ``revs`` (what it wrote), and where there are any
-    ``marks``, ``copies``, ``reviews``, ``opinions``, ``seen_ms``, ``blind``. Hashes are hex.
+    ``marks``, ``copies``, ``reviews``, ``opinions``, ``apart`` (steps on gold, in no label),
+    ``seen_ms``, ``blind``. Hashes are hex.
     """
 
     op_uuid: str
@@ -116,6 +117,15 @@ class Operation:
     prev_hash: str
     hash: str
 
+    @property
+    def episodes(self) -> list[str]:
+        """The episodes that it touched, each once."""
+        parts: list[Any] = []
+        for name in ("revs", "marks", "opinions", "apart"):
+            found: Any = self.body.get(name, ())
+            parts += found
+        return list(dict.fromkeys(str(part["episode"]) for part in parts))
+
 
 @dataclass(frozen=True, slots=True)
 class Looked:
@@ -123,6 +133,30 @@ class Looked:
 
     seen_ms: int
     blind: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What one person sees of a gold episode after an action of theirs, none of it a label.
+
+    ``version``: how its label looks. ``copy_of``: the version whose content undo or redo wrote
+    again. ``deleted``: why, "" if it is not. ``shown_ns`` (UTC) and ``beside``: when it seems to
+    have been recorded, and the episode of the queue that it comes after ("" if it is the first).
+    """
+
+    version: Revision
+    copy_of: str | None = None
+    deleted: str = ""
+    skipped: bool = False
+    shown_ns: int = 0
+    beside: str = ""
+
+    @property
+    def answer(self) -> Label | None:
+        """What was decided (of rejected or deleted gold no displacement), None: nothing yet."""
+        if self.deleted or self.version.state == "rejected":
+            return NO_LABEL
+        return self.version.label if self.version.state == "submitted" else None
 
 
 @dataclass(frozen=True, slots=True)

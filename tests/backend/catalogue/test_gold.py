@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
+import math
 import random
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from backend.catalogue import operations
 from backend.catalogue.comparison import against_gold
 from backend.catalogue.dataset import Dataset
-from backend.catalogue.gold import GOLD_EVERY, GoldBook, disguised, mixed
-from backend.catalogue.values import Label, Looked
+from backend.catalogue.gold import GOLD_EVERY, Shown, disguised, mixed, with_gold
+from backend.catalogue.gold_book import GoldBook
+from backend.catalogue.rebuilding import rebuild
+from backend.catalogue.recovery import examine
+from backend.catalogue.training_set import labelled
+from backend.catalogue.values import Label, Looked, Step
 from backend.core.faults import Fault, FaultError, RefusedError
 from tests.backend.catalogue.conftest import Record, context_for, small_episode
 
-ACTIONS = ("set", "accept", "reject", "take over", "restore", "verdict", "undo", "redo")
+ACTIONS = (
+    "set", "accept", "reject", "take over", "restore", "verdict", "skip", "delete", "undo", "redo",
+    "undo", "redo",
+)  # fmt: skip
+AT_NS = 7
 
 
 def gold_of(record: Record, dataset: Dataset, x_um: int = 1000) -> str:
@@ -37,73 +48,170 @@ def test_one_in_twenty_is_gold(count: int) -> None:
     assert mixed(order, order[:3]) == order
 
 
+def test_what_was_begun_stands_where_it_stood_however_few_are_left(
+    dataset: Dataset, record: Record
+) -> None:
+    gold, order = gold_of(record, dataset), [record().uuid for _ in range(24)]
+    recorded = dataset.labels.history(gold)[0]
+    begun = {gold: Step(recorded, beside=order[7])}
+    assert mixed(order, [gold], begun) == [*order[:8], gold, *order[8:]]
+    assert mixed(order[:3], [gold], begun) == [*order[:3], gold]
+    assert mixed(order[9:], [gold], begun)[0] == gold
+    assert mixed([], [gold], begun) == [gold]
+    behind = {gold: Step(recorded, skipped=True, beside=order[7])}
+    put_off = [*order[9:], order[2], order[8]]
+    assert mixed(put_off, [gold], behind) == [*order[9:], order[2], gold, order[8]]
+    assert mixed(order, [gold], behind) == [*order, gold]
+    # One of twenty all the same: what was begun has the place of another.
+    assert mixed(order, [gold, "new"], begun).count("new") == 0
+
+
 def test_gold_shows_a_time_between_its_neighbours(dataset: Dataset, record: Record) -> None:
     old = gold_of(record, dataset)
     entries = {e.uuid: e for e in [dataset.entry(old), record(), record()]}
     _, a, b = entries
     entries[old] = replace(entries[old], recorded_ns=5)
-    told = disguised([a, old, b], entries, [old])
-    assert entries[a].recorded_ns <= told[old] <= entries[b].recorded_ns
+    told = disguised([a, old, b], entries, {a, b})
+    assert list(told) == [old]
+    assert entries[a].recorded_ns <= told[old][0] <= entries[b].recorded_ns
+    assert told[old][1] == a
 
 
-def act(book: GoldBook, uuid: str, number: int) -> None:
+def sitting(dataset: Dataset, *uuids: str) -> GoldBook:
+    """Return the labels as Ann sees them when she begins, with these as gold."""
+    book = GoldBook(dataset.labels)
+    recorded = {uuid: dataset.labels.history(uuid)[0] for uuid in uuids}
+    book.begin("ann", {uuid: Shown(r, AT_NS, "") for uuid, r in recorded.items()})
+    return book
+
+
+def act(book: GoldBook, dataset: Dataset, uuid: str, number: int) -> None:
     """Do something that ``number`` alone decides."""
     chosen = random.Random(number)
     name = chosen.choice(ACTIONS)
     label = Label(chosen.randrange(-3, 3) * 100, 0, 0, 100)
+    labels = book.of(uuid)
     if name == "set":
-        book.of(uuid).set("ann", uuid, label)
+        labels.set("ann", uuid, label)
     elif name == "accept":
-        book.of(uuid).accept("ann", uuid, chosen.choice([book.of(uuid).head(uuid).label, label]))
+        labels.accept("ann", uuid, chosen.choice([labels.head(uuid).label, label]))
     elif name == "reject":
-        book.of(uuid).reject("ann", uuid, "tilt")
+        labels.reject("ann", uuid, "tilt")
     elif name == "take over":
-        book.of(uuid).take_over("ann", uuid)
+        labels.take_over("ann", uuid)
     elif name == "restore":
-        book.of(uuid).restore_revision(
-            "ann", uuid, chosen.choice(book.of(uuid).history(uuid)).rev_uuid
-        )
+        labels.restore_revision("ann", uuid, chosen.choice(labels.history(uuid)).rev_uuid)
     elif name == "verdict":
-        book.of(uuid).set("ann", uuid, book.of(uuid).head(uuid).label, verdict="unsure")
+        labels.set("ann", uuid, labels.head(uuid).label, verdict="unsure")
+    elif name == "skip":
+        labels.skip("ann", uuid)
+    elif name == "delete":
+        labels.delete("ann", uuid, "torn gel")
     else:
-        (book.undo if name == "undo" else book.redo)("ann")
+        (dataset.labels.undo if name == "undo" else dataset.labels.redo)("ann")
 
 
-def told(book: GoldBook, dataset: Dataset, uuid: str, numbers: range) -> list[object]:
-    """Return all that Ann sees while she does one thing after the other."""
+def told(folder: Path, uuid: str, numbers: range, *, gold: bool) -> list[object]:
+    """Return all that Ann sees while she does one thing after the other, and starts anew between.
+
+    Of her log what she did, not the ids.
+    """
     seen: list[object] = []
-    for number in numbers:
-        try:
-            act(book, uuid, number)
-        except RefusedError as refusal:
-            seen.append((refusal.reason, refusal.detail))
-        seen.append([
-            (r.label, r.state, r.source, r.verdict, r.reason, r.person)
-            for r in [book.of(uuid).head(uuid), *book.of(uuid).history(uuid)]
-        ])  # fmt: skip
-        seen.append(book.entry(dataset.entry(uuid)).state)
+    for start in range(0, len(numbers), 10):
+        with Dataset.open(folder, person="ann") as dataset:
+            book = sitting(dataset, *([uuid] if gold else []))
+            for number in numbers[start : start + 10]:
+                try:
+                    act(book, dataset, uuid, number)
+                except RefusedError as refusal:
+                    seen.append((refusal.reason, refusal.detail))
+                labels = book.of(uuid)
+                seen.append([
+                    (r.label, r.state, r.source, r.verdict, r.reason, r.person)
+                    for r in [labels.head(uuid), *labels.history(uuid)]
+                ])  # fmt: skip
+                entry = book.entry(dataset.entry(uuid))
+                seen.append((entry.state, entry.deleted, dataset.labels.can_redo("ann")))
+            mine = [op for op in book.log() if op.actor == "ann"]
+            seen.append([(op.verb, op.episodes) for op in mine])
     return seen
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_gold_answers_every_key_as_the_rest_does(tmp_path: Path, seed: int) -> None:
-    numbers = range(100 * seed, 100 * seed + 40)
-    with Dataset.open(tmp_path / "plain", person="cleo") as plain:
-        context = context_for(plain)
-        label = Label(1000, 0, 0, 150)
-        uuid = plain.record(small_episode(), label, source="commanded", context=context).uuid
-        ordinary = told(GoldBook(plain.labels), plain, uuid, numbers)
+def test_gold_answers_every_key_as_the_rest_does_over_restarts(tmp_path: Path, seed: int) -> None:
+    numbers = range(100 * seed, 100 * seed + 60)
     with Dataset.open(tmp_path / "gold", person="cleo") as dataset:
+        label = Label(1000, 0, 0, 150)
+        context = context_for(dataset)
         uuid = dataset.record(small_episode(), label, source="commanded", context=context).uuid
+    shutil.copytree(tmp_path / "gold", tmp_path / "plain")
+    ordinary = told(tmp_path / "plain", uuid, numbers, gold=False)
+    with Dataset.open(tmp_path / "gold", person="cleo") as dataset:
         dataset.labels.accept("bob", uuid, Label(1500, 0, 0, 50))
         dataset.labels.approve("cleo", uuid)
         before = dataset.labels.history(uuid)
-        book = GoldBook(dataset.labels)
-        book.begin("ann", {uuid: (7, before[0])})
-        assert told(book, dataset, uuid, numbers) == ordinary
+    assert told(tmp_path / "gold", uuid, numbers, gold=True) == ordinary
+    with Dataset.open(tmp_path / "gold", person="cleo") as dataset:
+        # Not one of her steps is in a label; the log holds them all, and its chain is whole.
         assert dataset.labels.history(uuid) == before
-        verbs = {op.verb for op in dataset.labels.log(actor="ann")}
-        assert verbs == {"label.opinion"}
+        assert dataset.labels.marks(uuid) == {}
+        (counts,) = labelled(dataset.database, "drafts")
+        assert counts.label == Label(1500, 0, 0, 50)
+        assert list(examine(dataset.store, whole=True)) == []
+        steps = len(dataset.labels.steps_apart("ann", uuid))
+        assert steps == len(dataset.labels.log(actor="ann")) > 10
+    assert rebuild(tmp_path / "gold", replace=True).equal
+    with Dataset.open(tmp_path / "gold", person="cleo") as dataset:
+        assert len(dataset.labels.steps_apart("ann", uuid)) == steps
+
+
+def test_what_was_taken_back_is_gold_again_and_what_was_left_comes_first(
+    dataset: Dataset, record: Record, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("backend.catalogue.queues.AUDIT_SHARE", 1.0)
+    gold = gold_of(record, dataset)
+    plain = [record().uuid for _ in range(19)]
+
+    def queue() -> tuple[list[str], GoldBook]:
+        order, entries = dataset.queue("unlabelled", "ann"), dataset.episodes()
+        found, shown = with_gold(dataset, "ann", order, {e.uuid: e for e in entries})
+        book = GoldBook(dataset.labels)
+        book.begin("ann", shown)
+        return found, book
+
+    first, book = queue()
+    assert sorted(first) == sorted([gold, *plain])
+    at, said = first.index(gold), book.entry(dataset.entry(gold)).recorded_ns
+    book.of(gold).set("ann", gold, Label(1100, 0, 0, 50))
+    done = [uuid for uuid in plain if first.index(uuid) > at][:5]
+    for uuid in done:
+        dataset.labels.accept("ann", uuid)
+    # Fewer than 19 are left: it stays where it was, as it was, with the time it had.
+    again, book = queue()
+    assert again == [uuid for uuid in first if uuid not in done]
+    assert book.entry(dataset.entry(gold)).recorded_ns == said
+    assert book.of(gold).head(gold).label.x_um == 1100
+    book.of(gold).accept("ann", gold, Label(1100, 0, 0, 50))
+    assert gold not in queue()[0]
+    undone = dataset.labels.undo("ann")
+    assert undone is not None
+    assert undone.episodes == [gold]
+    assert queue()[0] == again
+    queue()[1].of(gold).skip("ann", gold)
+    assert queue()[0][-1] == gold
+
+
+def test_the_log_tells_nothing_of_gold_while_it_waits(dataset: Dataset, record: Record) -> None:
+    gold, plain = gold_of(record, dataset), record().uuid
+    book = sitting(dataset, gold)
+    for uuid in (gold, plain):
+        book.of(uuid).set("ann", uuid, Label(1100, 0, 0, 50))
+        book.of(uuid).accept("ann", uuid, Label(1100, 0, 0, 50))
+    lines: dict[str, list[tuple[str, str]]] = {uuid: [] for uuid in (gold, plain)}
+    for op in book.log():
+        lines[op.episodes[0]].append((op.verb, op.actor))
+    assert lines[gold] == lines[plain]
+    assert {op.actor for op in dataset.labels.log()} >= {"bob", "cleo"}
 
 
 def test_what_is_decided_is_an_opinion_that_undo_withdraws(
@@ -111,8 +219,7 @@ def test_what_is_decided_is_an_opinion_that_undo_withdraws(
 ) -> None:
     near, far, none = (gold_of(record, dataset, x) for x in (1000, 2000, 3000))
     plain = record(4000, 0).uuid
-    book = GoldBook(dataset.labels)
-    book.begin("ann", {u: (7, dataset.labels.history(u)[0]) for u in (near, far, none)})
+    book, labels = sitting(dataset, near, far, none), dataset.labels
     book.of(near).accept("ann", near, Label(1600, 0, 0, 50), looked=Looked(3000))
     book.of(plain).accept("ann", plain, Label(4000, 0, 0, 50))
     book.of(far).accept("ann", far, Label(2800, 0, 0, 50), looked=Looked(5000))
@@ -122,39 +229,55 @@ def test_what_is_decided_is_an_opinion_that_undo_withdraws(
     assert found.bias_x_mm.mean == pytest.approx((0.1 + 0.3) / 2)
     assert found.rms_mm == pytest.approx(((0.01 + 0.09) / 2) ** 0.5)
     assert found.seconds[0] == 4.0
-    assert book.undo("ann") == none
-    assert book.undo("ann") == far
-    undone = book.undo("ann")
-    assert not isinstance(undone, str)
-    assert undone is not None
-    assert dataset.labels.head(plain).state == "draft"
+    for uuid in (none, far, plain):
+        undone = labels.undo("ann")
+        assert undone is not None
+        assert undone.episodes == [uuid]
+    assert labels.head(plain).state == "draft"
     assert against_gold(dataset.database, dataset.geometry, "ann").rms_mm == pytest.approx(0.1)
-    book.redo("ann")
-    assert dataset.labels.head(plain).state == "submitted"
+    labels.redo("ann")
+    assert labels.head(plain).state == "submitted"
+    labels.redo("ann")
+    again = against_gold(dataset.database, dataset.geometry, "ann")
+    assert again.rms_mm == pytest.approx(found.rms_mm)
+    assert again.seconds[0] == 4.0
     assert dataset.queue("gold", "ann") == []
     # Who approved or wrote the label is measured against nothing of their own.
     assert against_gold(dataset.database, dataset.geometry, "bob").episodes == 0
 
 
-def test_a_disk_that_refuses_leaves_undo_and_redo_of_gold_to_be_done_again(
+def test_deleting_what_was_answered_and_taking_that_back_keeps_the_answer(
+    dataset: Dataset, record: Record
+) -> None:
+    gold = gold_of(record, dataset)
+    book = sitting(dataset, gold)
+    book.of(gold).accept("ann", gold, Label(1600, 0, 0, 50), looked=Looked(3000))
+    book.of(gold).delete("ann", gold, "torn gel")
+    assert math.isnan(against_gold(dataset.database, dataset.geometry, "ann").rms_mm)
+    dataset.labels.undo("ann")
+    assert against_gold(dataset.database, dataset.geometry, "ann").rms_mm == pytest.approx(0.1)
+
+
+def test_a_disk_that_refuses_leaves_gold_to_be_done_again(
     dataset: Dataset, record: Record, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     uuid = gold_of(record, dataset)
-    book = GoldBook(dataset.labels)
-    book.begin("ann", {uuid: (7, dataset.labels.history(uuid)[0])})
-    book.of(uuid).accept("ann", uuid, Label(1600, 0, 0, 50))
-    keep, full = dataset.labels.opinion, Fault("DISK-FULL", "Full.", "Not saved.", "Room.")
+    book, labels = sitting(dataset, uuid), dataset.labels
+    mend, full = operations.append, Fault("DISK-FULL", "Full.", "Not saved.", "Room.")
 
     def refuse(*_args: object, **_named: object) -> None:
         raise FaultError(full)
 
-    for again, state in ((book.undo, "draft"), (book.redo, "submitted")):
+    def accept(person: str) -> None:
+        book.of(uuid).accept(person, uuid, Label(1600, 0, 0, 50))
+
+    for again, state in ((accept, "submitted"), (labels.undo, "draft"), (labels.redo, "submitted")):
         before = book.of(uuid).head(uuid)
-        monkeypatch.setattr(dataset.labels, "opinion", refuse)
+        monkeypatch.setattr(operations, "append", refuse)
         with pytest.raises(FaultError):
             again("ann")
         assert book.of(uuid).head(uuid) == before
-        monkeypatch.setattr(dataset.labels, "opinion", keep)
-        assert again("ann") == uuid
+        monkeypatch.setattr(operations, "append", mend)
+        again("ann")
         assert book.of(uuid).head(uuid).state == state
     assert against_gold(dataset.database, dataset.geometry, "ann").episodes == 1

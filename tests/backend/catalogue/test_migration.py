@@ -17,7 +17,7 @@ from backend.catalogue.values import Label
 from backend.core.faults import InputError
 from tests.backend.catalogue.conftest import context_for, small_episode
 
-RELATIONS = ("run", "param", "metric", "artifact", "schema_migration", "checked_folder")
+RELATIONS = ("run", "param", "metric", "artifact", "schema_migration", "checked_folder", "apart")
 
 
 @pytest.fixture

@@ -1,0 +1,109 @@
+"""A nudge on gold outlives the window, as one on the rest does, and nothing tells the two apart."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from backend.catalogue.comparison import against_gold
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.recovery import examine
+from backend.catalogue.training_set import labelled
+from backend.catalogue.values import Label
+from tests.backend.catalogue.conftest import context_for, small_episode
+
+Told = dict[str, Any]
+WAITING = 21
+"""Ordinary episodes: enough for one of gold among them."""
+
+
+@pytest.fixture
+def folder(isolated_settings, monkeypatch) -> Path:
+    """The dataset that the window opens by itself; people, once asked for, stay."""
+    monkeypatch.setenv("TOUCHDOWN_CONFIG", str(isolated_settings / "config"))
+    return isolated_settings / "data" / "dataset"
+
+
+@pytest.fixture
+def chosen(folder) -> list[str]:
+    """An ordinary episode and a gold one, recorded with the same label."""
+    with Dataset.open(folder, person="setup") as dataset:
+        context, label = context_for(dataset), Label(1000, -500, 0, 150)
+
+        def record() -> str:
+            episode = small_episode()
+            return dataset.record(episode, label, source="commanded", context=context).uuid
+
+        while not dataset.queue("gold", "ann"):
+            uuid = record()
+            dataset.labels.accept("bob", uuid, Label(4000, 4000, 0, 50))
+            dataset.labels.approve("cleo", uuid)
+        return [[record() for _ in range(WAITING)][3], uuid]
+
+
+def window(parts: list[str], log: Path, *, deadly: int | None) -> list[Told]:
+    """Return what the window told, until it ended or had told ``deadly`` looks and was killed."""
+    with log.open("w") as errors, subprocess.Popen(
+        [sys.executable, "-m", "tests.journeys.gold_sitting", "arrive", *parts],
+        stdout=subprocess.PIPE, stderr=errors, text=True, env=os.environ,
+    ) as process:  # fmt: skip
+        told: list[Told] = []
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.endswith("\n"):
+                told.append(json.loads(line))
+                assert "failed" not in told[-1], told[-1]["failed"]
+            if deadly is not None and sum("saw" in one for one in told) == deadly:
+                process.kill()
+                break
+        process.stdout.close()
+        assert process.wait(120) == (0 if deadly is None else -signal.SIGKILL)
+    return told
+
+
+def seen(told: list[Told], uuid: str) -> list[Told]:
+    """Return all that was shown of one episode, without what may differ between any two."""
+    looks = [one for one in told if one.get("saw") == uuid]
+    return [{k: v for k, v in look.items() if k not in ("saw", "at", "when")} for look in looks]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_a_kill_loses_no_nudge_on_gold_and_undo_reaches_behind_it(
+    folder, chosen, monkeypatch, tmp_path
+):
+    plain, gold = chosen
+    monkeypatch.setenv("CHOSEN", ",".join(chosen))
+    before = window(["nudge"], tmp_path / "1.log", deadly=4)
+    after = window(["take-back", "do-again"], tmp_path / "2.log", deadly=None)
+    for told in (before, after):
+        assert seen(told, gold) == seen(told, plain)
+    for uuid in chosen:
+        # In its place and with its time, before the crash and after it.
+        ((at, _),) = {(t["at"], t["when"]) for t in (*before, *after) if t.get("saw") == uuid}
+        assert at < len(before[0]["begun"])
+    fresh, nudged = seen(before, gold)
+    left, taken_back, *again = seen(after, gold)
+    assert (fresh["strip"][-1], nudged["strip"][-1]) == ("rev 1", "rev 2")
+    assert left["versions"] == nudged["versions"]
+    assert [len(look["versions"]) for look in (left, taken_back, *again)] == [2, 3, 4, 4]
+    assert taken_back["row"] == fresh["row"]
+    assert again[-1]["basis"] == nudged["basis"]
+    with Dataset.open(folder, create=False) as dataset:
+        assert list(examine(dataset.store, whole=True)) == []
+        head = dataset.labels.head(gold)
+        assert (head.state, head.person, head.label.x_um) == ("approved", "cleo", 4000)
+        assert "ann" not in {r.person for r in dataset.labels.history(gold)}
+        assert dataset.labels.head(plain).label.x_um == 1100
+        counting = {e.row.episode: e.label.x_um for e in labelled(dataset.database, "submitted")}
+        assert (counting[gold], counting[plain]) == (4000, 1100)
+        found = against_gold(dataset.database, dataset.geometry, "ann")
+        assert found.episodes == 1
+        assert found.bias_x_mm.mean == pytest.approx(1.1 - 4)

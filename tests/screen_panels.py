@@ -35,6 +35,7 @@ from tests.backend.rig.scripted import scripted
 if TYPE_CHECKING:
     from tests.screens import Stage
 
+REPORT = Path(__file__).parents[1] / "docs/results/tables-full.json"
 PAYLOAD = CalibrationMeasured(
     0.0, "payload",
     names=("mass_kg", "com_x_mm", "com_y_mm", "com_z_mm"), values=(1.502, -0.3, 0.1, 62.4),
@@ -130,6 +131,14 @@ def reviewed(stage: Stage, runs: Path) -> Iterator[str]:
         workspace.page.runs.choose_row(row)
         stage.until(lambda: not workspace.reader.busy)
         yield f"review-{name}"
+    reports = workspace.reports
+    reports.open(REPORT)
+    stage.until(lambda: reports.sheet is not None and not workspace.reader.busy)
+    for row in (0, 3, reports.sheet.parts.count() - 1):
+        reports.sheet.parts.setCurrentRow(row)
+        stage.until(lambda: not workspace.reader.busy)
+        yield f"review-report-{row}"
+    reports.sheet.close()
 
 
 def trained(stage: Stage, packs: Path) -> Iterator[str]:

@@ -111,16 +111,16 @@ def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, screen: Screen) -> int:
     """Do all jobs that are not done, then write the page; 0 when no job failed."""
-    # Imported here so that `touchdown --help` starts without torch.
-    from backend.experiments.writing import write_tables
-    from backend.jobs.store import JobStore
-
     if args.workers < 1:
         raise InputError("--workers must be at least 1.", "--workers", "Give a positive number.")
     if args.what == "report":
         screen.result({"version": JSON_VERSION, **write_anew(args, screen)})
         return 0
     other = tables_to_compare(args.against)
+    # Imported here so that `touchdown --help` starts without torch.
+    from backend.experiments.writing import write_tables
+    from backend.jobs.store import JobStore
+
     store = JobStore(_folder(args.out) / "jobs")
     if args.what == "beyond":
         return _run_beyond(args, screen, store)

@@ -1,0 +1,126 @@
+"""A report of experiments in Review: as the page shows it, and nothing of it blocks the window."""
+
+from pathlib import Path
+
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QApplication, QFileDialog
+
+from app.application import TouchdownApp
+from app.error_hooks import ErrorBox
+from app.review import reports
+from app.review.report_drawing import drawn, in_colours
+from backend.experiments.charts import INK, reliability_chart
+from backend.experiments.reading import read_report
+from widgets.report_grid import ReportGrid
+from widgets.report_sheet import PictureCard
+from widgets.theme import DARK, LIGHT
+
+FULL = Path(__file__).parents[2] / "docs/results/tables-full.json"
+
+
+@pytest.fixture
+def review(qapp, qtbot, tmp_path):
+    main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
+    main.window.show()
+    main.go("review")
+    workspace = main.workspaces["review"]
+    qtbot.waitUntil(lambda: not workspace.reader.busy, timeout=60_000)
+    yield workspace
+    main.close()
+    main.window.deleteLater()
+    main.deleteLater()
+    QApplication.processEvents()
+
+
+def open_report(review, qtbot, file):
+    review.reports.open(file)
+    qtbot.waitUntil(lambda: not review.reader.busy, timeout=60_000)
+
+
+def grids(sheet):
+    return sheet.room.widget().findChildren(ReportGrid)
+
+
+def test_the_window_shows_what_the_report_says(review, qtbot, tmp_path):
+    file = tmp_path / "tables.json"
+    file.write_bytes(FULL.read_bytes())
+    _, report = read_report(file)
+    open_report(review, qtbot, file)
+    sheet = review.reports.sheet
+    assert sheet.isVisible()
+    assert not sheet.isModal()
+    assert [sheet.parts.item(k).text() for k in range(sheet.parts.count())] == [
+        section.title for section in report.sections
+    ]
+    wanted = report.sections[0].parts[0]
+    grid = grids(sheet)[0]
+    for row, (name, entries) in enumerate(wanted.rows):
+        assert grid.verticalHeaderItem(row).text() == name
+        for column, entry in enumerate(entries):
+            shown = grid.item(row, column).data(Qt.ItemDataRole.UserRole)
+            lines = (entry.interval, *entry.notes) if entry.interval else entry.notes
+            assert (shown.value, shown.lines) == (entry.value, lines)
+
+
+def test_a_cell_leads_to_its_run_folder_if_that_is_here(review, qtbot, tmp_path, monkeypatch):
+    file = tmp_path / "tables.json"
+    file.write_bytes(FULL.read_bytes())
+    opened = []
+    monkeypatch.setattr(reports, "open_outside", lambda path: opened.append(path) or "Opened")
+    open_report(review, qtbot, file)
+    sheet, first = review.reports.sheet, review.reports.report.sections[0].parts[0].rows[0][1][0]
+    folder = tmp_path / "jobs" / first.jobs[0]
+    grids(sheet)[0].setCurrentCell(0, 0)
+    assert first.jobs[0] in sheet.trace.text()
+    assert not sheet.folder.isEnabled()
+    folder.mkdir(parents=True)
+    grids(sheet)[0].setCurrentCell(0, 1)
+    grids(sheet)[0].setCurrentCell(0, 0)
+    assert sheet.folder.isEnabled()
+    sheet.folder.click()
+    sheet.browser.click()
+    qtbot.waitUntil(lambda: len(opened) == 2, timeout=60_000)
+    page = review.exports / "tables.html"
+    assert opened == [folder, page]
+    assert page.read_text("utf-8") == FULL.with_suffix(".html").read_text("utf-8")
+
+
+def test_pictures_come_after_the_part_and_not_into_another(review, qtbot):
+    open_report(review, qtbot, FULL)
+    sheet = review.reports.sheet
+    titles = [section.title for section in review.reports.report.sections]
+    sheet.parts.setCurrentRow(titles.index("How the belief grew"))
+    sheet.parts.setCurrentRow(titles.index("Do the probabilities keep their promise?"))
+    qtbot.waitUntil(lambda: not review.reader.busy, timeout=60_000)
+    cards = sheet.room.widget().findChildren(PictureCard)
+    assert len(cards) == 6
+    assert all(not card.picture.pixmap().isNull() for card in cards)
+
+
+@pytest.mark.parametrize("content", ["{", '{"format": "touchdown-tables/1", "table1": 5}'])
+def test_a_bad_file_is_one_card_and_no_sheet(review, qtbot, tmp_path, content):
+    file = tmp_path / "tables.json"
+    file.write_text(content, encoding="utf-8")
+    before = set(review._desk.cards.codes)
+    open_report(review, qtbot, file)
+    assert set(review._desk.cards.codes) - before == {"REPORT"}
+    assert review.reports.sheet is None
+
+
+def test_the_file_is_asked_for_beside_the_window(review):
+    review.page.experiments.click()
+    (dialog,) = review.page.findChildren(QFileDialog)
+    assert dialog.isVisible()
+    dialog.reject()
+
+
+def test_charts_take_the_colours_of_the_theme():
+    chart = reliability_chart([0.1, 0.9], [0.2, 0.8], "Pot", "n = 3")
+    assert INK not in in_colours(chart, DARK)
+    dark, light = (drawn(chart, 2.0, tokens) for tokens in (DARK, LIGHT))
+    assert dark.size().toTuple() == (440, 440)
+    inked = {image.pixelColor(x, y).lightness() for image in (dark,) for x in range(440)
+             for y in range(20, 40) if image.pixelColor(x, y).alpha() > 200}  # fmt: skip
+    assert max(inked) > 200
+    assert dark != light

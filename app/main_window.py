@@ -87,7 +87,7 @@ class MainWindow(QMainWindow):
         column.setSpacing(0)
         column.addWidget(bar)
         column.addLayout(middle, 1)
-        self._foot_frame = self._foot()
+        self._foot_frame = self._foot(cards.strip)
         column.addWidget(self._foot_frame)
         self.setCentralWidget(frame)
         # Holds the focus at the start, so that no control looks chosen before Tab is pressed.
@@ -108,12 +108,13 @@ class MainWindow(QMainWindow):
             column.addWidget(self.rail[name])
         return rail
 
-    def _foot(self) -> QFrame:
+    def _foot(self, folded: QWidget) -> QFrame:
         foot = QFrame()
         foot.setProperty("role", "foot")
         row = QHBoxLayout(foot)
         row.setContentsMargins(12, 4, 12, 4)
         row.setSpacing(16)
+        row.addWidget(folded)
         row.addWidget(self._message, 1)
         row.addWidget(self._banner)
         row.addWidget(self._right)

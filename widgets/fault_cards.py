@@ -19,6 +19,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from widgets.elided import ElidedLabel
 from widgets.panel import label, set_property
 
 MAX_CARDS = 4
@@ -159,26 +160,36 @@ class FaultCard(QFrame):
         self._on_button(self.text)
 
 
-class _Strip(QFrame):
-    """The cards folded into one line: the first one's words, and how to have them back."""
+class FoldedCards(QFrame):
+    """The cards folded into one line: the first one's words, and how to have them back.
 
-    def __init__(self, on_show: Callable[[], None], on_reset: Callable[[], None]) -> None:
-        super().__init__()
+    It stands in the foot of the window, where it covers nothing.
+    """
+
+    def __init__(
+        self, parent: QWidget, on_show: Callable[[], None], on_reset: Callable[[], None]
+    ) -> None:
+        super().__init__(parent)
         self.setProperty("role", "fault")
-        self._words = label("", "title")
+        self._words = ElidedLabel("title")
+        self._words.setSizePolicy(QSizePolicy.Policy.Maximum, QSizePolicy.Policy.Preferred)
         self.show_all, self.reset = QPushButton("Show"), QPushButton("Reset")
         self.reset.setProperty("role", "reset")
+        for button in (self.show_all, self.reset):
+            button.setProperty("low", "yes")
         self.show_all.clicked.connect(on_show)
         self.reset.clicked.connect(on_reset)
         row = QHBoxLayout(self)
-        row.setContentsMargins(12, 4, 6, 4)
-        for widget in (self._words, self.show_all, self.reset):
-            row.addWidget(widget)
+        row.setContentsMargins(8, 0, 0, 0)
+        row.addWidget(self._words, 1)
+        for button in (self.show_all, self.reset):
+            row.addWidget(button)
         self.hide()
 
     def show_first(self, text: CardText, count: int) -> None:
         """Show the first of ``count`` cards."""
         self._words.setText(f"{text.what} (+{count - 1})" if count > 1 else text.what)
+        self._words.setToolTip(text.what)
         self.show_all.setAccessibleName(f"Show: {text.what}")
         self.reset.setAccessibleName(f"Reset: {text.what}")
         self.reset.setVisible(text.reset)
@@ -209,12 +220,11 @@ class FaultCards(QWidget):
         self._question: QFrame | None = None
         self._unfolded = False
         self.folded = False
-        """Whether they are one line at the foot of the page: nothing else is covered."""
-        self._strip = _Strip(self._unfold_line, on_reset)
+        """Whether they are one line in the foot of the window: nothing is covered."""
+        self.strip = FoldedCards(self, self._unfold_line, on_reset)
         self._column = QVBoxLayout(self)
         self._column.setContentsMargins(10, 8, 10, 0)
         self._column.setSpacing(6)
-        self._column.addWidget(self._strip)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
         self.hide()
 
@@ -277,7 +287,7 @@ class FaultCards(QWidget):
         self._lay_out()
 
     def fold(self) -> None:
-        """Make all cards one line at the foot of the page."""
+        """Make all cards one line in the foot of the window."""
         self.folded = True
         self._lay_out()
 
@@ -323,10 +333,10 @@ class FaultCards(QWidget):
         ranked = self._ranked()
         self._unfolded = self._unfolded and len(ranked) > 1
         self.folded = self.folded and bool(ranked)
-        self.setProperty("folded", self.folded)
-        self._strip.hide()
         if self.folded:
-            self._strip.show_first(ranked[0].text, len(ranked))
+            self.strip.show_first(ranked[0].text, len(ranked))
+        else:
+            self.strip.hide()
         for place, card in enumerate(ranked):
             self._column.removeWidget(card)
             self._column.addWidget(card)
@@ -336,4 +346,5 @@ class FaultCards(QWidget):
             text = "Fewer" if self._unfolded else f"{len(ranked) - 1} more"
             ranked[0].more.setText(text)
             ranked[0].more.setAccessibleName(f"{text}: the other cards")
-        self.setVisible(bool(ranked) or self._question is not None)
+        shown = bool(ranked) and not self.folded
+        self.setVisible(shown or self._question is not None)

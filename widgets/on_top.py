@@ -9,10 +9,7 @@ _CHANGED = frozenset({QEvent.Type.LayoutRequest, QEvent.Type.Show})
 
 
 class OnTop(QObject):
-    """``cover`` is as wide as ``base`` and as high as it needs.
-
-    While its property ``folded`` is set it is no wider than it needs, and lies at the foot.
-    """
+    """``cover`` is as wide as ``base`` and as high as it needs."""
 
     def __init__(self, cover: QWidget, base: QWidget) -> None:
         super().__init__(base)
@@ -37,10 +34,5 @@ class OnTop(QObject):
         high = cover.sizeHint().height()
         if layout is not None and layout.hasHeightForWidth():
             high = layout.totalHeightForWidth(width)
-        top = 0
-        if cover.property("folded"):
-            width = min(cover.sizeHint().width(), width)
-            high = cover.sizeHint().height()
-            top = max(self._base.height() - high, 0)
-        cover.setGeometry(0, top, width, min(high, self._base.height()))
+        cover.setGeometry(0, 0, width, min(high, self._base.height()))
         cover.raise_()

@@ -101,6 +101,7 @@ QAbstractSpinBox QLineEdit {{ border: none; padding: 0; background: transparent;
 QComboBox[role="compact"] {{ padding: 0 6px; min-height: 18px; font-size: {small}pt; }}
 
 QPushButton[role="compact"] {{ padding: 0 4px; min-height: 18px; font-size: {small}pt; }}
+QPushButton[low="yes"] {{ padding: 0 10px; min-height: 22px; }}
 QPushButton[role="header"] {{ padding: 1px 8px; min-height: 22px; }}
 QPushButton[role="header"]:checked {{ background: {selection}; color: {selection_text};
     border-color: {selection}; }}

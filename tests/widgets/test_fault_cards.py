@@ -85,26 +85,32 @@ def test_notices_of_one_start_are_cards_of_their_own_and_none_makes_room(cards):
     assert cards.codes.count("DATASET") == 1, "each is dismissed by itself"
 
 
-def test_folded_cards_lie_at_the_foot_until_something_new_comes(qtbot):
+def test_folded_cards_are_a_line_elsewhere_until_something_new_comes(qtbot):
     base, resets = QWidget(), []
     qtbot.addWidget(base)
     cards = FaultCards(lambda: resets.append(1))
     on_top = OnTop(cards, base)
+    cards.strip.setParent(base)
     base.resize(1180, 630)
     base.show()
     cards.show_card(fault("FT-TRIP"))
     qtbot.waitUntil(lambda: cards.width() == 1180 and cards.y() == 0)
+    assert not cards.strip.isVisible()
     cards.card("FT-TRIP").fold.click()
-    qtbot.waitUntil(lambda: cards.width() < 600 and cards.geometry().bottom() == 629)
-    assert shown(cards) == []
+    assert not cards.isVisible(), "nothing of the page is covered"
+    assert cards.strip.isVisible()
     cards.show_card(fault("FT-TRIP"))
-    assert shown(cards) == [], "the same again was read already"
-    cards._strip.reset.click()
+    assert not cards.isVisible(), "the same again was read already"
+    cards.strip.reset.click()
     assert resets == [1]
     cards.show_card(refused("LIMIT"))
     assert shown(cards) == ["FT-TRIP"]
-    qtbot.waitUntil(lambda: cards.y() == 0 and cards.width() == 1180)
+    assert cards.isVisible()
+    assert not cards.strip.isVisible()
     cards.fold()
-    cards._strip.show_all.click()
+    cards.strip.show_all.click()
     assert shown(cards) == ["FT-TRIP"]
+    cards.fold()
+    cards.clear(cards.codes)
+    assert not cards.strip.isVisible()
     del on_top

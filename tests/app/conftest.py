@@ -7,6 +7,9 @@ import pytest
 from app.application import TouchdownApp
 from app.error_hooks import ErrorBox
 from tests.app.stand_in import StandInBench
+from tests.prompt_window import prompt
+
+__all__ = ["prompt"]
 
 
 @pytest.fixture
@@ -36,7 +39,7 @@ def live(main, bench, qtbot):
     return main
 
 
-def settle(main, ticks=12):
+def settle(main, ticks=4):
     """Turn the pump until everything waiting is shown."""
     from PySide6.QtWidgets import QApplication
 

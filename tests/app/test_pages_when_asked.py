@@ -13,6 +13,7 @@ from app.workspaces import WORKSPACES
 from tests.app.conftest import settle
 from tests.app.slot_watch import SLOT_S
 from tests.app.stand_in import StandInBench
+from tests.app.yardstick import Yardstick
 from widgets.fault_cards import FaultCard
 
 
@@ -99,7 +100,8 @@ def test_pages_are_made_ahead_in_pieces_one_of_which_may_be_asked_for_meanwhile(
 
 
 def test_no_piece_of_a_page_takes_long(window):
-    """Processor time of this thread: what else goes on does not count."""
+    """Processor time of this thread: what else goes on does not count, a slow processor neither."""
+    yardstick = Yardstick()
 
     def pieces_s(main):
         taken_s, more = [], True
@@ -107,10 +109,12 @@ def test_no_piece_of_a_page_takes_long(window):
             before_s = time.thread_time()
             more = main.workspaces.prepare()
             taken_s.append(time.thread_time() - before_s)
+            if len(taken_s) % 8 == 0:
+                yardstick.measure()
         return taken_s
 
     both_s = pieces_s(window()), pieces_s(window())
     # A piece that is too long is so every time; a crowded machine is not.
     best_s = [min(pair) for pair in zip(*both_s, strict=True)]
     assert len(best_s) > 5 * len(WORKSPACES)
-    assert max(best_s) <= SLOT_S, best_s
+    assert max(best_s) <= yardstick.allowed_s(SLOT_S), best_s

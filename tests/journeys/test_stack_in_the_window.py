@@ -86,7 +86,7 @@ def turn_until(main, link, done, most=1500):
             main.pump.tick()
             QApplication.processEvents()
         if done():
-            for _ in range(12):
+            for _ in range(4):
                 main.pump.tick()
             return
     told = [main.cards.card(c).text for c in main.cards.codes]

@@ -64,6 +64,15 @@ class Touch:
     share: FloatArray
     wrench: FloatArray
 
+    def take(self, rows: NDArray[np.intp]) -> Touch:
+        """Return the probes ``rows``."""
+        return Touch(*(getattr(self, name)[rows] for name in self.__slots__))
+
+    def put(self, rows: NDArray[np.intp], by: Touch) -> None:
+        """Overwrite the probes ``rows``."""
+        for name in self.__slots__:
+            getattr(self, name)[rows] = getattr(by, name)
+
 
 def pack(points_mm: FloatArray, inside: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Move the cells that are ``inside`` (B, N) to the front; return (B, n, 2) and which exist."""

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
 from backend.core.flow import FloatArray
 from backend.simulation.contact import Cells, Touch, tangent, touch
+from backend.simulation.halving import fall
 
 SCALE = np.array([1.0, 1.0, 1.0, 1 / 20.0, 1 / 20.0, 1 / 20.0])
 """Residual scale: forces in N, moments divided by 20 mm."""
@@ -31,18 +35,16 @@ def balance(
     ``start`` (B, 6): first guess; ``zero`` q° (B, 6); ``stiffness`` (B, 6): diagonal of K.
     Steps that do not lower the residual of a probe are halved for that probe alone.
     """
-    q = start
-    now = touch(cells, anchor, q)
-    residual = now.wrench - stiffness * (q - zero)
-    size = _size(residual)
+    spring = _Spring(cells, anchor, zero, stiffness)
+    now = spring.at(start)
     for done in range(iterations):
-        busy = size > TOLERANCE
+        busy = now.size > TOLERANCE
         if not busy.any():
             break
         few = np.flatnonzero(busy)
-        if len(few) <= FEW * len(q):
+        if len(few) <= FEW * len(start):
             # Every probe for itself: the others would only be computed again.
-            q = q + 0.0
+            q, size = now.q + 0.0, now.size
             q[few], _, size[few] = balance(
                 cells.take(few),
                 anchor[:, few],
@@ -52,21 +54,61 @@ def balance(
                 iterations - done,
             )
             return q, touch(cells, anchor, q), size
-        matrix = tangent(cells, now)
+        matrix = tangent(cells, now.touch)
         matrix[:, _DIAGONAL, _DIAGONAL] -= stiffness
-        step = np.linalg.solve(matrix, -residual[:, :, None])[:, :, 0]
+        step = np.asarray(np.linalg.solve(matrix, -now.left[:, :, None])[:, :, 0], np.float64)
         step[~busy] = 0.0
-        for _ in range(HALVINGS):
-            trial = q + step
-            there = touch(cells, anchor, trial)
-            left = there.wrench - stiffness * (trial - zero)
-            new_size = _size(left)
-            worse = busy & ~(new_size < size)
-            if not worse.any():
-                break
-            step[worse] *= 0.5
-        q, now, residual, size = trial, there, left, new_size
-    return q, now, size
+        now = _stepped(spring, now, step, busy)
+    return now.q, now.touch, now.size
+
+
+@dataclass(frozen=True, slots=True)
+class _Trial:
+    """Motion ``q`` (B, 6), the forces there, and what is ``left`` (B, 6), as one ``size`` (B,)."""
+
+    q: FloatArray
+    touch: Touch
+    left: FloatArray
+    size: FloatArray
+
+    def take(self, rows: NDArray[np.intp]) -> _Trial:
+        return _Trial(self.q[rows], self.touch.take(rows), self.left[rows], self.size[rows])
+
+    def put(self, rows: NDArray[np.intp], by: _Trial) -> None:
+        self.q[rows], self.left[rows], self.size[rows] = by.q, by.left, by.size
+        self.touch.put(rows, by.touch)
+
+
+@dataclass(frozen=True, slots=True)
+class _Spring:
+    """What pulls on the cells, as given to ``balance``."""
+
+    cells: Cells
+    anchor: FloatArray
+    zero: FloatArray
+    stiffness: FloatArray
+
+    def take(self, rows: NDArray[np.intp]) -> _Spring:
+        return _Spring(
+            self.cells.take(rows), self.anchor[:, rows], self.zero[rows], self.stiffness[rows]
+        )
+
+    def at(self, q: FloatArray) -> _Trial:
+        there = touch(self.cells, self.anchor, q)
+        left = there.wrench - self.stiffness * (q - self.zero)
+        return _Trial(q, there, left, _size(left))
+
+
+def _stepped(spring: _Spring, now: _Trial, step: FloatArray, busy: NDArray[np.bool_]) -> _Trial:
+    """Go one Newton step, halved for each probe until its residual falls."""
+    after = spring.at(now.q + step)
+
+    def at(rows: NDArray[np.intp], share: FloatArray) -> _Trial:
+        return spring.take(rows).at(now.q[rows] + share[:, None] * step[rows])
+
+    worse = np.flatnonzero(busy & ~(after.size < now.size))
+    fall(after, now.size, worse, HALVINGS, at)
+    return after
 
 
 _DIAGONAL = np.arange(6)

@@ -20,7 +20,7 @@ from backend.simulation.slipping import Grip, Step, gripped
 from backend.simulation.support import Pose, Stand, topples
 
 SPLITS = 2
-"""A step is gone in up to this many powers of two where its end is not found at once."""
+"""A step without balance is gone again in halves, and these again, so many times."""
 _MOVING = ("q", "slip", "relaxed", "residual", "depth_mm", "slope", "toppled")
 
 
@@ -62,7 +62,8 @@ class ContactState:
     ``residual`` (B,): worst of the probe so far. ``depth_mm`` (B,): last command; ``slope`` (B, 6):
     change of q per mm of it, for the first guess of the next step. ``stand``: what carries the
     touched face, None if that is rigid; ``pose`` of it; ``pivot_mm`` (B, 2): ``G`` over ``O``;
-    ``toppled`` (B,): the supports would not come back upright.
+    ``toppled`` (B,): the supports would not come back upright. ``splits``: how often a step in
+    which moving supports find no balance is gone again in halves.
     """
 
     cells: contact.Cells
@@ -78,12 +79,14 @@ class ContactState:
     stand: Stand | None
     pose: Pose
     toppled: NDArray[np.bool_]
+    splits: int = SPLITS
 
-    def on(self, stand: Stand | None) -> ContactState:
+    def on(self, stand: Stand | None, splits: int = SPLITS) -> ContactState:
         """Return the state on supports that can rock and slide, upright by now; None: rigid."""
         if stand is None:
             return self
-        return replace(self, stand=stand, pose=Pose.upright(len(self.q), stand.interfaces))
+        pose = Pose.upright(len(self.q), stand.interfaces)
+        return replace(self, stand=stand, pose=pose, splits=splits)
 
     def take(self, rows: NDArray[np.intp]) -> ContactState:
         """Return the probes ``rows``."""
@@ -191,33 +194,31 @@ def begin(
 
 
 def advance(
-    state: ContactState,
-    commanded_mm: FloatArray,
-    dt_s: float | FloatArray,
-    splits: int = SPLITS,
+    state: ContactState, commanded_mm: FloatArray, dt_s: float | FloatArray
 ) -> tuple[ContactState, Solved]:
     """Solve the next time step of ``dt_s`` for the command ``commanded_mm`` (B, 3).
 
     The command is relative to the height of first touch (z below it is negative) and to the probing
-    position. Where moving supports find no balance the step is gone again in halves, ``splits``
-    times. Never raises for lack of convergence: check ``residual`` against ``RESIDUAL_LIMIT``.
+    position. Where moving supports find no balance the step is gone again in halves.
+    Never raises for lack of convergence: check ``residual`` against ``RESIDUAL_LIMIT``.
     """
-    after, solved = _advanced(state, commanded_mm, dt_s, last=not splits)
+    after, solved = _advanced(state, commanded_mm, dt_s)
     alive = state.residual <= RESIDUAL_LIMIT
     lost = np.flatnonzero(alive & ~(solved.residual <= RESIDUAL_LIMIT))
-    if state.stand is None or not splits or not len(lost):
+    if state.stand is None or not state.splits or not len(lost):
         return after, solved
-    part, end_mm = state.take(lost), commanded_mm[lost]
+    part = replace(state.take(lost), splits=state.splits - 1)
+    end_mm = commanded_mm[lost]
     half_s = 0.5 * np.broadcast_to(np.asarray(dt_s, dtype=np.float64), alive.shape)[lost]
     middle_mm = end_mm.copy()
     middle_mm[:, 2] = 0.5 * (part.depth_mm + end_mm[:, 2])
-    part, _ = advance(part, middle_mm, half_s, splits - 1)
-    part, found = advance(part, end_mm, half_s, splits - 1)
+    part, _ = advance(part, middle_mm, half_s)
+    part, found = advance(part, end_mm, half_s)
     return after.replaced(lost, part), solved.replaced(lost, found)
 
 
 def _advanced(
-    state: ContactState, commanded_mm: FloatArray, dt_s: float | FloatArray, *, last: bool
+    state: ContactState, commanded_mm: FloatArray, dt_s: float | FloatArray
 ) -> tuple[ContactState, Solved]:
     conditions = state.conditions
     spring = grasp.springs(conditions, state.relaxed, dt_s)
@@ -231,7 +232,7 @@ def _advanced(
         state.stand,
         state.pivot_mm,
         state.pose,
-        last,
+        not state.splits,
     )
     start = Grip.begun(
         state.q + travel[:, None] * state.slope,

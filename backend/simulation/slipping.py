@@ -17,7 +17,8 @@ from backend.simulation.conditions import Conditions
 from backend.simulation.contact import Cells, Touch, touch
 from backend.simulation.equilibrium import RESIDUAL_LIMIT, balance
 from backend.simulation.support import Pose, Stand
-from backend.simulation.supported import Held, carried, settle
+from backend.simulation.support_law import Held
+from backend.simulation.supported import carried, settle
 
 SLIP_TOLERANCE = 1e-5
 SLIP_PASSES = 200

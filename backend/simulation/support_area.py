@@ -56,6 +56,12 @@ class Area:
 
         The slope is the identity inside, a projection outside, zero at a corner.
         """
+        if self._alike():
+            # A body on the table: its own face alone.
+            feet, slopes = _onto(
+                self.core_mm[..., :1, :, :], self.grown_mm[..., :1], points_mm[..., None, :]
+            )
+            return feet[..., 0, :], slopes[..., 0, :, :]
         feet, slopes = _onto(self.core_mm, self.grown_mm, points_mm[..., None, :])
         other, _ = _onto(self.core_mm[..., ::-1, :, :], self.grown_mm[..., ::-1], feet)
         usable = ((other - feet) ** 2).sum(axis=-1) <= ON_MM**2
@@ -69,6 +75,15 @@ class Area:
         face = np.minimum(best, 1)[..., None, None, None]
         slope = np.take_along_axis(slopes, face, axis=-3)[..., 0, :, :]
         return foot, np.asarray(slope * (best < 2)[..., None, None])
+
+    def _alike(self) -> bool:
+        """Return whether both faces are the same everywhere, and nothing crosses."""
+        core, grown = self.core_mm, self.grown_mm
+        return (
+            not self.corner_mm.shape[-2]
+            and np.array_equal(core[..., 0, :, :], core[..., 1, :, :])
+            and np.array_equal(grown[..., 0], grown[..., 1])
+        )
 
     def foremost(self, direction: FloatArray) -> FloatArray:
         """Return the points (..., 2) of the areas farthest along ``direction`` (..., 2)."""

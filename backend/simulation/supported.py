@@ -15,57 +15,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backend.core.flow import FloatArray
-from backend.simulation.contact import Cells, Touch, tangent, touch
+from backend.simulation.contact import Touch, tangent, touch
 from backend.simulation.equilibrium import RESIDUAL_LIMIT, SCALE, TOLERANCE, balance
-from backend.simulation.support import Pose, Stand, below_mm, drift_mm, unladen
+from backend.simulation.halving import fall
+from backend.simulation.support import Pose, below_mm
+from backend.simulation.support_law import (
+    AXES,
+    ROCK_MM_RAD,
+    SLIDE_N_MM,
+    Held,
+    Law,
+    face_motion,
+    levers,
+)
 
 MAX_ITERATIONS = 40
 HALVINGS = 12
 PATIENCE, PROGRESS = 8, 0.5
 """A search whose residual has not fallen to this share in so many iterations is given up."""
-ROCK_MM_RAD = 1000.0
-"""Weight of an angle beside a place in the law of rocking: any positive one gives the same."""
-SLIDE_N_MM = 10.0
-MOMENT_N_MM = 0.4
-"""A resultant off by 1 mm counts as this residual, as 8 N do in the scale of the piece."""
 DRAGS_MM_RAD = (1e8, 1e7, 1e6, 1e5, 1e4, 1e3, 1e2, 1e1)
 VISCOUS = 1e-6
 """Keeps the matrix regular where face and table slide at once; the residual is without it."""
-AXES = np.eye(2)
-
-
-@dataclass(frozen=True, slots=True)
-class Held:
-    """Grasp and place of B probes during one solution.
-
-    ``zero`` q° (B, 6) and ``stiffness`` (B, 6) of the grasp; ``pivot_mm`` (B, 2): the pivot over
-    ``O``; ``slid_mm``, ``leaned_rad`` (B, m, 2): sliding and rocking so far. ``drag_mm_rad``: the
-    resultant is taken as shifted back by so much per radian of rocking further than that.
-    """
-
-    cells: Cells
-    anchor: FloatArray
-    zero: FloatArray
-    stiffness: FloatArray
-    stand: Stand
-    pivot_mm: FloatArray
-    slid_mm: FloatArray
-    leaned_rad: FloatArray
-    drag_mm_rad: float = 0.0
-
-    def take(self, rows: NDArray[np.intp]) -> Held:
-        """Return the probes ``rows``."""
-        return Held(
-            self.cells.take(rows),
-            self.anchor[:, rows],
-            self.zero[rows],
-            self.stiffness[rows],
-            self.stand.take(rows),
-            self.pivot_mm[rows],
-            self.slid_mm[rows],
-            self.leaned_rad[rows],
-            self.drag_mm_rad,
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +83,7 @@ def settle(
 def _kept(held: Held, q: FloatArray, pose: Pose) -> Settled:
     """Return the equilibrium on supports that stay; residual infinity where they may not."""
     q, now, residual = _fixed(held, q, pose)
-    law = _Law.at(held, q, pose, now)
+    law = Law.at(held, q, pose, now)
     return Settled(q, pose, np.where(law.size <= TOLERANCE, residual, np.inf))
 
 
@@ -132,78 +102,6 @@ def carried(held: Held, pose: Pose, edge_mm: FloatArray | None = None) -> FloatA
     ride[:, 2] = lift - (rocked * held.pivot_mm).sum(axis=1)
     ride[:, 3], ride[:, 4] = -rocked[:, 1], rocked[:, 0]
     return ride
-
-
-@dataclass(frozen=True, slots=True)
-class _Law:
-    """How far the supports are from their laws, and what is needed to linearise that.
-
-    ``load_n`` (B, m); ``centre_mm`` (B, m, 2): where the resultant is; ``corner_mm`` and
-    ``corner_slope``: the nearest point of the polygon; ``rock``, ``slide`` (B, m, 2): residuals in
-    mm and N; ``reach``, ``reach_load``: derivative of the nearest lateral force by force and load.
-    """
-
-    load_n: FloatArray
-    centre_mm: FloatArray
-    corner_mm: FloatArray
-    corner_slope: FloatArray
-    rock: FloatArray
-    slide: FloatArray
-    reach: FloatArray
-    reach_load: FloatArray
-
-    @classmethod
-    def at(cls, held: Held, q: FloatArray, pose: Pose, now: Touch) -> _Law:
-        stand = held.stand
-        load = now.wrench[:, 2:3] + stand.weight_n
-        moment = np.einsum("bmij,bj->bmi", _levers(held), now.wrench)
-        moment += now.wrench[:, None, 2:3] * _face_motion(held.cells, q)[:, None]
-        moment += stand.centre_nmm + unladen(stand, pose)
-        centre = moment / load[..., None]
-        at = centre - drift_mm(stand, pose)
-        at -= held.drag_mm_rad * (pose.rock_rad - held.leaned_rad)
-        corner, slope = stand.area.nearest(at + ROCK_MM_RAD * pose.rock_rad)
-        rock = np.where(stand.rocks[..., None], at - corner, pose.rock_rad * ROCK_MM_RAD)
-        lateral = -now.wrench[:, None, :2]
-        tried = lateral + SLIDE_N_MM * (pose.slide_mm - held.slid_mm)
-        size = np.maximum(np.hypot(tried[..., 0], tried[..., 1]), 1e-12)
-        share = np.minimum(1.0, stand.mu * load / size)[..., None]
-        along = tried / size[..., None]
-        sliding = share < 1.0
-        outward = along[..., :, None] * along[..., None, :]
-        reach = share[..., None] * (AXES - outward * sliding[..., None])
-        return cls(
-            load_n=load,
-            centre_mm=centre,
-            corner_mm=corner,
-            corner_slope=slope,
-            rock=rock,
-            slide=lateral - share * tried,
-            reach=reach,
-            reach_load=np.where(sliding, np.where(sliding, stand.mu[..., None], 0.0) * along, 0.0),
-        )
-
-    @property
-    def size(self) -> FloatArray:
-        """(B,) residual in N."""
-        rock = MOMENT_N_MM * self.rock
-        return np.asarray(np.sqrt((rock**2 + self.slide**2).sum(axis=(1, 2))), dtype=np.float64)
-
-
-def _levers(held: Held) -> FloatArray:
-    """Return (B, m, 2, 6): moments of a unit wrench on the piece, as resultant times load."""
-    up = held.stand.height_mm - held.cells.r_z[:, None]
-    levers = np.zeros((*up.shape, 2, 6))
-    levers[..., 0, 0] = levers[..., 1, 1] = -up
-    levers[..., :, 2] = held.pivot_mm[:, None]
-    levers[..., 0, 4], levers[..., 1, 3] = -1.0, 1.0
-    return levers
-
-
-def _face_motion(cells: Cells, q: FloatArray) -> FloatArray:
-    """Return (B, 2): motion of the middle of the face, which the press moves with."""
-    along = np.stack([q[:, 4], -q[:, 3]], axis=1)
-    return np.asarray(q[:, :2] + cells.r_z[:, None] * along)
 
 
 def _eased(held: Held, q: FloatArray, pose: Pose) -> Settled:
@@ -238,74 +136,94 @@ def _together(held: Held, q: FloatArray, pose: Pose) -> Settled:
     """
     ends = Settled(q, pose, np.full(len(q), np.inf))
     rows = np.arange(len(q))
-    edge = held.stand.area.foremost(pose.rock_rad)
-    rest = _Rest.at(held, q, pose, edge)
+    rest = _Rest.at(held, q, pose, held.stand.area.foremost(pose.rock_rad))
     before = np.full(len(q), np.inf)
     for number in range(MAX_ITERATIONS):
         edge = rest.law.corner_mm
-        rest = _Rest.at(held, q, pose, edge)
+        rest = _Rest.at(held, rest.q, rest.pose, edge)
         going = rest.size > TOLERANCE
         if number % PATIENCE == 0:
             going &= rest.size < PROGRESS * before
             before = rest.size
         busy = np.flatnonzero(going)
         if len(busy) < len(rows):
-            ends = ends.replaced(rows, Settled(q, pose, rest.size))
-            rows, q, pose, edge = rows[busy], q[busy], pose.take(busy), edge[busy]
-            before = before[busy]
-            held = held.take(busy)
-            rest = _Rest.at(held, q, pose, edge)
-        if not len(rows):
-            return ends
-        q, pose, rest = _stepped(held, q, pose, edge, rest)
-    return ends.replaced(rows, Settled(q, pose, rest.size))
+            ends = ends.replaced(rows, rest.settled)
+            if not len(busy):
+                return ends
+            rows, held, rest = rows[busy], held.take(busy), rest.take(busy)
+            edge, before = edge[busy], before[busy]
+        rest = _stepped(held, edge, rest)
+    return ends.replaced(rows, rest.settled)
 
 
-def _stepped(
-    held: Held, q: FloatArray, pose: Pose, edge_mm: FloatArray, rest: _Rest
-) -> tuple[FloatArray, Pose, _Rest]:
+def _stepped(held: Held, edge_mm: FloatArray, rest: _Rest) -> _Rest:
     """Go one Newton step, halved for each probe until its residual falls."""
-    m = held.stand.interfaces
-    matrix = _matrix(held, q, rest.now, rest.law, edge_mm)
-    laws = np.concatenate([rest.law.rock, rest.law.slide], axis=1).reshape(len(q), 4 * m)
+    count, m = rest.law.load_n.shape
+    matrix = _matrix(held, rest.q, rest.now, rest.law, edge_mm)
+    laws = np.concatenate([rest.law.rock, rest.law.slide], axis=1).reshape(count, 4 * m)
     right = np.concatenate([rest.force, laws], axis=1)
     step = np.linalg.solve(matrix, -right[:, :, None])[:, :, 0]
-    for _ in range(HALVINGS):
-        tried_q = q + step[:, :6]
-        tried = Pose(
-            pose.rock_rad + step[:, 6 : 6 + 2 * m].reshape(-1, m, 2),
-            pose.slide_mm + step[:, 6 + 2 * m :].reshape(-1, m, 2),
-        )
-        found = _Rest.at(held, tried_q, tried, edge_mm)
-        worse = ~(found.size < rest.size)
-        if not worse.any():
-            break
-        step[worse] *= 0.5
-    return tried_q, tried, found
+    after = _Rest.at(held, *rest.gone(step), edge_mm)
+
+    def at(rows: NDArray[np.intp], share: FloatArray) -> _Rest:
+        tried = rest.take(rows).gone(share[:, None] * step[rows])
+        return _Rest.at(held.take(rows), *tried, edge_mm[rows])
+
+    fall(after, rest.size, np.flatnonzero(~(after.size < rest.size)), HALVINGS, at)
+    return after
 
 
 @dataclass(frozen=True, slots=True)
 class _Rest:
-    """What is missing to balance: of the piece ``force`` (B, 6) in N and N·mm, of the ``law``.
-
-    ``size`` (B,): both as one number in N.
+    """A trial, and what is missing there to balance: of the piece ``force`` (B, 6) in N and N·mm,
+    of the ``law``. ``size`` (B,): both as one number in N.
     """
 
+    q: FloatArray
+    pose: Pose
     now: Touch
-    law: _Law
+    law: Law
     force: FloatArray
     size: FloatArray
 
     @classmethod
     def at(cls, held: Held, q: FloatArray, pose: Pose, edge_mm: FloatArray) -> _Rest:
         now = touch(held.cells, held.anchor, q - carried(held, pose, edge_mm))
-        law = _Law.at(held, q, pose, now)
+        law = Law.at(held, q, pose, now)
         force = now.wrench - held.stiffness * (q - held.zero)
         size = np.sqrt(((force * SCALE) ** 2).sum(axis=1) + law.size**2)
-        return cls(now, law, force, size)
+        return cls(q, pose, now, law, force, size)
+
+    @property
+    def settled(self) -> Settled:
+        return Settled(self.q, self.pose, self.size)
+
+    def gone(self, step: FloatArray) -> tuple[FloatArray, Pose]:
+        """Return motion and supports one ``step`` (B, 6 + 4m) further."""
+        m = step.shape[1] // 4 - 1
+        rock, slide = step[:, 6 : 6 + 2 * m], step[:, 6 + 2 * m :]
+        return self.q + step[:, :6], Pose(
+            self.pose.rock_rad + rock.reshape(-1, m, 2),
+            self.pose.slide_mm + slide.reshape(-1, m, 2),
+        )
+
+    def take(self, rows: NDArray[np.intp]) -> _Rest:
+        """Return the probes ``rows``."""
+        now, law = self.now.take(rows), self.law.take(rows)
+        return _Rest(
+            self.q[rows], self.pose.take(rows), now, law, self.force[rows], self.size[rows]
+        )
+
+    def put(self, rows: NDArray[np.intp], by: _Rest) -> None:
+        """Overwrite the probes ``rows``."""
+        self.q[rows], self.force[rows], self.size[rows] = by.q, by.force, by.size
+        self.pose.rock_rad[rows] = by.pose.rock_rad
+        self.pose.slide_mm[rows] = by.pose.slide_mm
+        self.now.put(rows, by.now)
+        self.law.put(rows, by.law)
 
 
-def _matrix(held: Held, q: FloatArray, now: Touch, law: _Law, edge_mm: FloatArray) -> FloatArray:
+def _matrix(held: Held, q: FloatArray, now: Touch, law: Law, edge_mm: FloatArray) -> FloatArray:
     """Return d(residuals)/d(q, rock, slide), (B, 6 + 4m, 6 + 4m)."""
     stand, count, m = held.stand, len(q), held.stand.interfaces
     width = 6 + 4 * m
@@ -336,12 +254,12 @@ def _matrix(held: Held, q: FloatArray, now: Touch, law: _Law, edge_mm: FloatArra
 
 
 def _resultant_slope(
-    held: Held, q: FloatArray, now: Touch, law: _Law, wrench: FloatArray
+    held: Held, q: FloatArray, now: Touch, law: Law, wrench: FloatArray
 ) -> FloatArray:
     """Return d(``at_mm``)/d(q, rock, slide), (B, m, 2, 6 + 4m); ``wrench``: that of the wrench."""
     stand, m = held.stand, held.stand.interfaces
-    slope: FloatArray = _levers(held) @ wrench[:, None]
-    spare = _face_motion(held.cells, q)[:, None] - law.centre_mm
+    slope: FloatArray = levers(held) @ wrench[:, None]
+    spare = face_motion(held.cells, q)[:, None] - law.centre_mm
     slope += spare[..., None] * wrench[:, None, 2:3]
     face = np.zeros((len(q), 2, 6))
     face[:, :, :2] = AXES

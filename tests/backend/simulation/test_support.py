@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -143,6 +145,15 @@ def test_the_weights_of_a_tower_agree_with_the_judge() -> None:
     stands = join_stands([stand_of(t, BOTH) for t in towers])
     falls = topples(stands, Pose.upright(len(towers), 2))
     np.testing.assert_array_equal(falls, [not judge(t).stands for t in towers])
+
+
+def test_a_face_of_its_own_carries_like_one_within_a_wider_face() -> None:
+    tower = Tower((load_catalogue().bottom("short").body(),))
+    table = join_stands([stand_of(tower, BOTH)] * 200).area
+    wider = replace(table, grown_mm=np.add(table.grown_mm, (0.0, 40.0)))
+    points = np.random.default_rng(2).uniform(-25.0, 25.0, (200, 1, 2))
+    for mine, other in zip(table.nearest(points), wider.nearest(points), strict=True):
+        np.testing.assert_array_equal(mine, other)
 
 
 def test_fixed_bottoms_and_settings_that_are_off_have_no_stand() -> None:

@@ -187,7 +187,7 @@ def likely(
     The likelihood of what was ``seen`` (F,) given ``felt`` (n, F) is flattened until the worlds
     that go on count as many as ``KEPT`` of all: strays are dropped, no single world takes over.
     """
-    misfit = np.where(usable, _misfit(felt, seen, spread), np.inf)
+    misfit = np.where(usable | ~usable.any(), _misfit(felt, seen, spread), np.inf)
     misfit -= misfit.min()
     low, high = 1e-9, 1.0
     for _ in range(60):

@@ -24,6 +24,7 @@ from backend.objects.tower import Tower
 from backend.simulation import nuisance
 from backend.simulation.conditions import Conditions
 from backend.simulation.episodes import Eye, SensorNoise, draw_noise, gel_of, observe, rule_of
+from backend.simulation.equilibrium import RESIDUAL_LIMIT
 from backend.simulation.mechanics import Carried, Region, begin
 from backend.simulation.pressing import press
 from backend.simulation.support import Stand, join_stands, stand_of
@@ -72,7 +73,7 @@ class Worlds:
 class Felt:
     """``observation`` (n, 20, 258) without sensor errors; ``worlds`` after the press.
 
-    ``usable`` (n,): the press converged.
+    ``usable`` (n,): contact was found and the press converged, as in every press that is observed.
     """
 
     observation: NDArray[np.float32]
@@ -102,7 +103,10 @@ def diameters_mm(setting: Setting, value: FloatArray) -> FloatArray:
 
 
 def feel(setting: Setting, worlds: Worlds, at_mm: XY, rng: np.random.Generator) -> Felt:
-    """Press at the commanded place in every world; when contact is noticed is left to chance."""
+    """Press at the commanded place in every world; when contact is noticed is left to chance.
+
+    A world that finds no balance at once is not searched further: it will be left out.
+    """
     settings, value = setting.settings, worlds.value
     conditions = _conditions(setting, value)
     true = value[:, :TILT_X] + np.asarray(at_mm)
@@ -116,7 +120,7 @@ def feel(setting: Setting, worlds: Worlds, at_mm: XY, rng: np.random.Generator) 
     still = _errorless(settings)
     noise = [_noise(settings, still, setting.probe, rng) for _ in range(worlds.count)]
     pressed = press(
-        state.on(_stand(setting, value)),
+        state.on(_stand(setting, value), splits=0),
         np.array([n.phase_s for n in noise]),
         np.stack([n.force_n for n in noise]),
         setting.probe,
@@ -132,7 +136,7 @@ def feel(setting: Setting, worlds: Worlds, at_mm: XY, rng: np.random.Generator) 
     moved[:, :TILT_X] += settings.spread.label_error_mm * rng.standard_normal((worlds.count, 2))
     after = Worlds(moved, Carried(pressed.state.slip, pressed.state.relaxed))
     seen = observe(pressed, conditions, still, noise, Eye(gel_of(settings)))
-    return Felt(seen, after, pressed.detected)
+    return Felt(seen, after, pressed.detected & (pressed.state.residual <= RESIDUAL_LIMIT))
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ from backend.verbs.experiment_report import (
     compare,
     tables_to_compare,
     write_anew,
+    written_whole,
 )
 from backend.verbs.screen import Screen
 
@@ -133,9 +134,10 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     jobs = recipe.jobs()
     failed = _done(jobs, recipe.effort, args, screen, store)
     missing = sum(not store.has(spec.id) for spec in jobs)
+    with written_whole(args.out):
+        page, answer = write_tables(args.out, recipe, store)
     if args.keep_models:
         _keep(args, recipe, store, screen)
-    page, answer = write_tables(args.out, recipe, store)
     screen.say(f"{len(jobs) - missing} of {len(jobs)} jobs are done: {page}")
     if other is not None:
         compare(answer, other, args.against, screen)
@@ -155,8 +157,9 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
 def _keep(args: argparse.Namespace, recipe: Recipe, store: JobStore, screen: Screen) -> None:
     from backend.experiments.given_models import keep_models
 
-    args.keep_models.mkdir(parents=True, exist_ok=True)
-    kept = keep_models(store, recipe, args.keep_models)
+    with written_whole(args.keep_models):
+        args.keep_models.mkdir(parents=True, exist_ok=True)
+        kept = keep_models(store, recipe, args.keep_models)
     screen.say(f"{len(kept)} models: {args.keep_models}")
 
 
@@ -199,7 +202,8 @@ def _run_beyond(args: argparse.Namespace, screen: Screen, store: JobStore) -> in
     failed = _done(jobs, plan.effort, args, screen, store)
     answer = plan.answer(store)
     missing = sum(not store.has(spec.id) for spec in jobs)
-    path = write_beyond(args.out, answer)
+    with written_whole(args.out):
+        path = write_beyond(args.out, answer)
     for sheet in sheets(answer):
         table = Table(title=sheet.title)
         for column in sheet.columns:

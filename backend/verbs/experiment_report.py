@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +24,26 @@ def add_report_arguments(parser: argparse.ArgumentParser) -> None:
                         "bench (default: those that it has)")  # fmt: skip
 
 
+@contextmanager
+def written_whole(where: Path) -> Iterator[None]:
+    """Turn a disk that refuses into ``InputError``; files are as they were, or whole."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"It could not be written: {error.strerror or error}.",
+            str(error.filename or where),
+            "Free some space, or name another folder; finished jobs are kept.",
+        ) from error
+
+
 def write_anew(args: argparse.Namespace, screen: Screen) -> Json:
     """Write the page, and the comparisons into the JSON; raises ``InputError`` for a bad file."""
     from backend.experiments.writing import DATA, rewrite_tables
 
     file = args.tables or args.out / DATA
-    page = rewrite_tables(file, args.beyond)
+    with written_whole(file):
+        page = rewrite_tables(file, args.beyond)
     screen.say(f"Written: {page}")
     return {"page": str(page), "file": str(file)}
 

@@ -13,6 +13,7 @@ from backend.core.faults import Fault, FaultError, RefusedError
 from backend.core.flow import FloatArray
 from backend.devices.melfa.console import Console
 from backend.devices.melfa.controller_press import ControllerPress
+from backend.devices.melfa.stream import END
 from backend.devices.melfa.wires import Wires
 from backend.devices.motion import CommandedMotion
 from backend.devices.protocols import PressCommand
@@ -104,11 +105,19 @@ class ForceProgram:
         return motion
 
     def cycle(self, now_s: float, samples: tuple[FloatArray, FloatArray], *, running: bool) -> None:
-        """See how the press stands; abort the program for what went wrong."""
-        if self._press is None:
+        """See how the press stands; abort the program for what went wrong.
+
+        On the way down it listens to nothing but its own sensor: there it is stopped.
+        """
+        press = self._press
+        if press is None or press.step(now_s, samples, running=running) is None:
             return
-        if self._press.step(now_s, samples, running=running) is not None:
+        if press.touched:
             self._hot("MDO", ABORT)
+            return
+        self._press = None
+        self._wires.stop_now(END)
+        self._wires.pace(running=False)
 
     def end(self, fault: Fault) -> None:
         """Take note that the program was, or is to be, stopped."""

@@ -85,6 +85,8 @@ class SteppedWires:
         """Moves everything else, the clock included, on by so many microseconds."""
         self.stalled = False
         """The driver itself is stopped, as by a signal; the controller is not."""
+        self.unplugged = False
+        """The cable is out: nothing goes to the controller, nothing comes from it."""
         self.stops = 0
         self._late_us = 0
         self._next_us = self.clock.now_us + CYCLE_US
@@ -124,6 +126,8 @@ class SteppedWires:
         if self._cycle is None:
             return
         self.stops += 1
+        if self.unplugged:
+            return
         now_s = self.clock.now_s()
         self._send(now_s, packet)
         self._lane.receive(now_s, encode_request(Request("STOP")) + b"\r")
@@ -152,7 +156,8 @@ class SteppedWires:
             return
         self.times, self._late_us = self.times.after(1e-6 * self._late_us), 0
         try:
-            self._out = self._client.step(now_s, self._session.receive(now_s, self._out))
+            come = b"" if self.unplugged else self._session.receive(now_s, self._out)
+            self._out = self._client.step(now_s, come)
         except FaultError as error:
             self._lost(error.fault)
         packet = self._cycle(now_s, self._came)

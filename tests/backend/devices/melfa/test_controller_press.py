@@ -1,8 +1,10 @@
 """Presses by the controller's own force program: the contract of an arm, and what it refuses."""
 
+import threading
 from dataclasses import replace
 from importlib.resources import files
 
+import numpy as np
 import pytest
 
 from backend.core.faults import FaultError, RefusedError
@@ -12,7 +14,7 @@ from backend.devices.sim.bench import SimulatedBench
 from backend.emulators.melfa_probe import WRITTEN
 from tests.backend.devices import contract_bench, test_arm_contract
 from tests.backend.devices.contract_bench import PRESS, DevicesUnderTest
-from tests.backend.devices.emulated_arm import on_bench
+from tests.backend.devices.emulated_arm import Rig, on_bench
 
 CASES = [
     pytest.param(clause, more, id=name.removeprefix("test_"))
@@ -112,3 +114,74 @@ def test_the_program_that_ships_reads_what_is_written():
     code = "\n".join(line for line in text.splitlines() if not line.startswith("'"))
     assert {name for name in WRITTEN if name in code} == set(WRITTEN)
     assert code.index("Fsc On") < code.index("Mvs PD") < code.index("Fsc Off") < code.index("End")
+
+
+class Program:
+    """The driver beside a force program that presses on a spring, without a bench."""
+
+    def __init__(self) -> None:
+        self.rig = rig = Rig(stiffness_mode="controller")
+        self.numbers = True
+        spring_n_mm, touch_mm = 8.0, 58.0
+
+        def felt(pivot_mm):
+            press_n = spring_n_mm * max(touch_mm - pivot_mm[2], 0.0)
+            return np.array([0.0, 0.0, press_n if self.numbers else np.nan])
+
+        rig.contact = felt
+        rig.device.controller.force_n = lambda: np.array(
+            [0.0, 0.0, spring_n_mm * max(touch_mm - rig.true_mm[2], 0.0)]
+        )
+        rig.arm.connect(1.0, threading.Event())
+        rig.rest(0.6)
+        self.motion = rig.arm.press(PRESS)
+        self.touch_mm = touch_mm
+
+    def until_touched(self) -> None:
+        while self.motion.onset_s is None:
+            self.rig.rest(0.01)
+        self.rig.rest(0.3)
+
+
+@pytest.mark.parametrize("touched", [False, True])
+def test_a_wrist_without_numbers_ends_a_force_program_wherever_it_is(touched):
+    program = Program()
+    rig = program.rig
+    if touched:
+        program.until_touched()
+    else:
+        rig.rest(0.3)
+    low_mm = rig.true_mm[2]
+    program.numbers = False
+    rig.rest(0.6)
+    assert program.motion.done
+    with pytest.raises(FaultError, match="FT-STALE"):
+        program.motion.result()
+    if touched:
+        # It lifts by itself once it is told to.
+        assert rig.true_mm[2] > program.touch_mm + 1.0
+    else:
+        # Nothing but its own sensor would end its descent: it is stopped, still in the air.
+        assert program.touch_mm < rig.true_mm[2] < low_mm
+        assert low_mm - rig.true_mm[2] < 0.6
+    stands_mm = rig.true_mm[2]
+    rig.rest(1.0)
+    assert rig.true_mm[2] == pytest.approx(stands_mm, abs=0.3)
+    assert rig.arm.state is DeviceState.READY
+
+
+def test_a_cable_pulled_out_of_a_force_program_is_a_fault_and_the_program_lifts_by_itself():
+    program = Program()
+    rig = program.rig
+    rig.rest(0.3)
+    rig.wires.unplugged = rig.wires.link.cut = True
+    rig.rest(2.0)
+    assert program.motion.done
+    assert (rig.arm.state, rig.arm.fault.code) == (DeviceState.FAULT, "ARM-LINK")
+    sent = len(rig.wires.packets)
+    rig.rest(PRESS.hold_s + 4.0)
+    # The computer commands nothing; the controller has come to the end of its own program.
+    assert len(rig.wires.packets) == sent
+    assert rig.true_mm[2] == pytest.approx(program.touch_mm + 2.0, abs=0.3)
+    with pytest.raises(FaultError, match="ARM-LINK"):
+        rig.arm.jog((0.0, 0.0, 5.0), 0.5)

@@ -95,7 +95,7 @@ class Film(QWidget):
         self.take_reel({}, (0.0, 2.0))
         for finger, view in self.views.items():
             self.notes[finger].setText("")
-            view.gone = view.never = "No episode"
+            view.gone = view.never = ""
             view.show_age(Age.GONE, 0.0, "")
 
     def take_reel(self, reel: Reel, span_s: tuple[float, float]) -> None:

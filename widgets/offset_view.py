@@ -26,7 +26,6 @@ class OffsetView(QWidget):
 
     def __init__(self, theme: Theme, moved: Moved, dropped: Callable[[], None]) -> None:
         super().__init__()
-        self._why_empty = "None is in front."
         self._theme, self._moved, self._dropped = theme, moved, dropped
         self.scene: OffsetScene | None = None
         self.editable = True
@@ -49,11 +48,6 @@ class OffsetView(QWidget):
     def sizeHint(self) -> QSize:
         """Return a square."""
         return QSize(460, 460)
-
-    def show_nothing(self, why: str) -> None:
-        """Show no episode, and why."""
-        self._why_empty = why
-        self.show_scene(None)
 
     def show_scene(self, scene: OffsetScene | None) -> None:
         """Show another displacement or another episode."""
@@ -117,7 +111,7 @@ class OffsetView(QWidget):
         painter = QPainter(self)
         if self.scene is None:
             painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
-            draw_message(painter, self.rect(), self._theme, "No episode", self._why_empty)
+            draw_message(painter, self.rect(), self._theme, "No episode")
             return
         area = self.area()
         painter.drawPixmap(0, 0, self._background(self.scene, area))

@@ -19,6 +19,7 @@ from app.label.bulk_form import BulkForm
 from app.label.entry import Entry
 from app.label.health_panel import HealthPanel
 from app.label.item import Sheets
+from app.label.nothing import NOBODY, Nothing, NothingHere
 from app.label.side import SideTabs
 from app.label.words import QUEUES
 from widgets.choice_bar import ChoiceBar
@@ -56,6 +57,7 @@ class LabelIntents:
     discard: Callable[[], None]
     search: Callable[[str], None]
     person: Callable[[], None]
+    command: Callable[[str], None]
     tab: Callable[[int], None]
     preview: Callable[[], None]
     apply: Callable[[], None]
@@ -84,6 +86,7 @@ class LabelPage(QWidget):
         )
         self.strip = StateStrip(theme)
         self.view = OffsetView(theme, intents.move, intents.drop)
+        self.nothing = NothingHere(intents.command)
         self.verdict, self.basis = ElidedLabel("head"), ElidedLabel("muted")
         self.model_line, self.scene_line = ElidedLabel("muted"), ElidedLabel("muted")
         self.message = ElidedLabel("")
@@ -134,6 +137,7 @@ class LabelPage(QWidget):
         self.view_panel.header.addWidget(self.person)
         inner = self.view_panel.column
         inner.insertWidget(1, self.strip)
+        inner.insertWidget(2, self.nothing, 1)
         for widget in (
             self.verdict,
             self.basis,
@@ -258,12 +262,38 @@ class LabelPage(QWidget):
 
     def show_nobody(self) -> None:
         """Say that the queue depends on who labels."""
-        self.view.show_nothing("Give your name to see the queue.")
-        self.film.show_none()
-        for view in (self.forces, self.moments, self.phase):
-            view.show_trace(None, why="No episode")
         self.queue_panel.detail.setText("nobody is named")
-        self.say("Give your name to see the queue (Ctrl+U).")
+        self.show_nothing(NOBODY)
+        self.say("")
+
+    def show_nothing(self, nothing: Nothing) -> None:
+        """Show that no episode is in front, and why: nothing of the former one stays."""
+        self.nothing.show_why(nothing)
+        self._swap(here=False)
+        self.view.show_scene(None)
+        self.film.show_none()
+        self.shots.show_shots((), why="")
+        for view in (self.forces, self.moments, self.phase):
+            view.show_trace(None, why="")
+        for line in (self.verdict, self.basis, self.model_line, self.scene_line):
+            line.setText("")
+        self.basis.setToolTip("")
+        for panel in (self.film_panel, self.view_panel):
+            panel.detail.setText("")
+        self.side.history.show_rows([])
+
+    def show_something(self) -> None:
+        """Make place for an episode."""
+        if self.nothing.isVisibleTo(self):
+            self._swap(here=True)
+
+    def _swap(self, *, here: bool) -> None:
+        focused = self.nothing.button.hasFocus()
+        self.nothing.setVisible(not here)
+        for widget in (self.strip, self.view):
+            widget.setVisible(here)
+        if focused and here:
+            self.setFocus()
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Hand over what can begin a typed displacement, and Space."""

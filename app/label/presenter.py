@@ -15,6 +15,7 @@ from app.label.editing import Editing
 from app.label.evidence import badges_of
 from app.label.item import LabelItem, Prelabel, Sheets, reader
 from app.label.looking import LookClock
+from app.label.nothing import EMPTY, EMPTY_QUEUES, NO_PROBES, UNREADABLE, Nothing
 from app.label.page import LabelPage
 from app.label.post import Post
 from app.label.prefetch import Prefetch
@@ -25,16 +26,6 @@ from app.label.words import FINDING, asks_for, clock, history_rows
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.gold_book import GoldBook
 from backend.catalogue.values import EpisodeEntry, Looked
-
-OTHER = "Ctrl+J chooses another queue."
-EMPTY = {
-    "unlabelled": "Nothing is left to label: collect more.",
-    "review": "Nothing waits for your review.",
-    **dict.fromkeys(
-        ("doubt", "disagreement", "uncertainty", "duplicates"),
-        "Nothing was scored yet: Ctrl+M lets the model score the dataset.",
-    ),
-}
 
 
 class LabelPresenter:
@@ -180,14 +171,10 @@ class LabelPresenter:
         self._sheets = self._page.sheets()
         if isinstance(ready, Exception):
             self.present = None
-            if self.walk.uuid is None:
-                why = EMPTY.get(self.sitting.queue, "This queue is empty.")
-                self._page.say(f"{why} {OTHER}")
-            else:
-                why = "This episode cannot be read."
-                self._page.say(f"This episode cannot be read: {ready}", bad=True)
+            empty = self.walk.uuid is None
+            self._page.say(self._news if empty else str(ready), bad=not empty)
             self._news = ""
-            show.show_none(self._page, why)
+            self._page.show_nothing(self._nothing() if empty else UNREADABLE)
             self._show_saving()
             return
         uuid = ready.entry.uuid
@@ -196,6 +183,12 @@ class LabelPresenter:
         self._news = ""
         show.show_item(self._page, ready)
         self._show_label()
+
+    def _nothing(self) -> Nothing:
+        """Return why the queue is empty."""
+        if not self.walk.entries:
+            return NO_PROBES
+        return EMPTY_QUEUES.get(self.sitting.queue, EMPTY)
 
     def _said_of(self, now: Present) -> str:
         """Say why the episode is in this queue, where that asks for something."""

@@ -17,6 +17,7 @@ from widgets.offset_scene import OffsetScene, offset_in_words, verdict_in_words
 
 def show_item(page: LabelPage, item: LabelItem) -> None:
     """Show what was recorded."""
+    page.show_something()
     first, last = item.span_s
     at_s = min(max(CURSOR_S, first), last)
     page.film.take_reel(item.reel, (max(first, 0.0), last))
@@ -27,21 +28,6 @@ def show_item(page: LabelPage, item: LabelItem) -> None:
     page.show_cursor(at_s)
     entry = item.entry
     page.view_panel.detail.setText(f"{entry.piece} on {entry.bottom}, {entry.uuid[-8:]}")
-
-
-def show_none(page: LabelPage, why: str) -> None:
-    """Show that no episode is in front, and why: nothing of the former one stays."""
-    page.view.show_nothing(why)
-    page.film.show_none()
-    page.film_panel.detail.setText("")
-    page.shots.show_shots((), why="No episode")
-    for view in (page.forces, page.moments, page.phase):
-        view.show_trace(None, why="No episode")
-    for line in (page.verdict, page.basis, page.model_line, page.scene_line):
-        line.setText("")
-    page.basis.setToolTip("")
-    page.view_panel.detail.setText("")
-    page.side.history.show_rows([])
 
 
 def show_edit(

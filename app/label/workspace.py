@@ -233,6 +233,7 @@ class LabelWorkspace(Workspace):
             discard=self.discard,
             search=lambda text: self._search(text),
             person=self.ask_person,
+            command=self._run,
             tab=lambda _: self._search(""),
             preview=lambda: self.many(BulkPresenter.preview),
             apply=lambda: self.many(BulkPresenter.apply),
@@ -303,6 +304,14 @@ class LabelWorkspace(Workspace):
     def _search(self, text: str) -> None:
         if self.side is not None:
             self.side.show(text)
+
+    def _run(self, name: str) -> None:
+        """Run a command by its name; ``collect`` is the other half."""
+        if name == "collect":
+            self.page.show_half("collect")
+            return
+        self.label_page.setFocus()
+        next(command for command in self.commands if command.name == name).run()
 
     def hide(self) -> None:
         """Hide or show the model and other sources."""

@@ -4,6 +4,8 @@ from collections import Counter
 
 import pytest
 from PySide6.QtCore import QEvent, QObject, Qt
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication
 
 from tests.app.label.conftest import CTRL, ITEMS, KEY, PUNCTUATION, SHIFT, WITHOUT_LABEL
 from tests.app.stand_in import StandInBench
@@ -187,13 +189,61 @@ def test_whoever_starts_first_is_asked_for_a_name(start):
     desk = start(person="")
     assert desk.workspace.presenter is None
     assert desk.page.words.isVisible()
-    assert desk.page.message.text() == "Give your name to see the queue (Ctrl+U)."
+    assert desk.page.nothing.title.text() == "Nobody is named yet"
+    assert desk.page.nothing.button.text() == "Give your name (Ctrl+U)"
     desk.type("ANN")
     desk.press(KEY.Key_Return)
     desk.settle()
     assert desk.page.person.text().upper() == "ANN"
     assert desk.page.message.text() == ""
     assert desk.workspace.memory()["person"].upper() == "ANN"
+
+
+def is_blank(view):
+    """Whether a view is of one colour."""
+    image = view.grab().toImage().scaled(40, 40)
+    return len({image.pixel(x, y) for x in range(40) for y in range(40)}) == 1
+
+
+def test_an_empty_queue_says_so_once_and_offers_one_thing_to_do(desk):
+    page, presenter = desk.page, desk.workspace.presenter
+    views = (page.forces, page.moments, page.phase, *page.film.views.values())
+    assert not any(is_blank(view) for view in views)
+    presenter.choose_queue("returned")
+    desk.settle()
+    assert page.nothing.isVisible()
+    assert page.nothing.title.text() == "Nothing of yours was rejected"
+    assert all(is_blank(view) for view in views)
+    assert not page.view.isVisible()
+    assert (page.message.text(), page.strip.saved) == ("", "")
+    page.nothing.button.click()
+    popup = QApplication.activePopupWidget()
+    for key in (KEY.Key_Home, KEY.Key_Return):
+        QTest.keyClick(popup.window().windowHandle(), key)
+    desk.settle()
+    assert desk.page.queue.currentData() == "unlabelled"
+    assert page.view.isVisible()
+    assert not page.nothing.isVisible()
+    assert not any(is_blank(view) for view in views)
+
+
+@pytest.mark.parametrize(
+    ("queue", "button"),
+    [("doubt", "Let the model score the dataset (Ctrl+M)"), ("", "Collect probes (F2)")],
+)
+def test_what_an_empty_queue_offers_is_what_would_fill_it(desk, queue, button):
+    presenter = desk.workspace.presenter
+    if queue:
+        presenter.choose_queue(queue)
+    else:
+        for entry in presenter.dataset.episodes():
+            desk.book.delete("Ann", entry.uuid, "not needed")
+        desk.press(KEY.Key_R, CTRL)
+    desk.settle()
+    assert desk.page.nothing.button.text() == button
+    if not queue:
+        desk.page.nothing.button.click()
+        assert desk.main.workspaces["collect"].page.front == "collect"
 
 
 def test_undo_and_redo_by_both_keys(desk):

@@ -12,6 +12,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Generator, Iterator
+from itertools import count
 
 from PySide6.QtCore import QObject, Qt, QTimer
 from PySide6.QtTest import QTest
@@ -31,7 +32,7 @@ PATIENCE_S = 240.0
 QUEUES = {name: row for row, (name, _) in enumerate(LISTED)}
 """Rows of the list that Ctrl+J opens."""
 WAYS = 7
-"""So many ways to come to a decision are taken in turn."""
+"""So many ways to come to a decision are taken in turn, by the place among all episodes."""
 REVIEWER_REJECTS = 8
 """Bob rejects every so many-th label."""
 
@@ -166,10 +167,11 @@ def take_back(me: Person) -> Doing:
 def label(me: Person) -> Doing:
     """Label the queue from the present episode to its end, in all ways that the keys offer."""
     left = len(me.presenter.walk.order) - me.presenter.walk.at
+    places = sorted(entry.uuid for entry in me.presenter.dataset.episodes())
     for _ in range(left):
         uuid = me.uuid
         # Left over by a crash: decided in the way it would have been, not in another.
-        way = int(uuid[-6:], 16) % WAYS
+        way = places.index(uuid) % WAYS
         tell(at=uuid, way=way)
         yield from decide(me, way)
         me.acknowledged(uuid)
@@ -211,16 +213,24 @@ def decide(me: Person, way: int) -> Doing:
 
 
 def four_eyes(me: Person) -> Doing:
-    """Ann tries to approve her own label."""
+    """Ann tries to approve her own label, in an audit that draws one of hers."""
+    dataset, sitting = me.presenter.dataset, me.workspace.sitting
+
+    def is_own(uuid: str) -> bool:
+        return me.presenter.book.head(uuid).state == "submitted"
+
+    sitting.seed = next(
+        n for n in count() if any(map(is_own, dataset.queue("audit", "ann", seed=n)))
+    )
     yield from me.choose("audit")
+    yield from me.go_to_front()
     order = me.presenter.walk.order
-    own = [n for n, u in enumerate(order) if me.presenter.book.head(u).state == "submitted"]
-    assert own, "the audit drew nothing of Ann's"
-    yield from me.do(*[KEY.Key_PageDown] * own[0])
+    yield from me.do(*[KEY.Key_PageDown] * order.index(next(filter(is_own, order))))
     uuid = me.uuid
     yield from me.do(KEY.Key_Return)
-    assert me.presenter.book.head(uuid).state == "submitted"
+    assert is_own(uuid)
     tell(refused=me.page.message.text(), uuid=uuid)
+    sitting.seed = 0
 
 
 def review(me: Person) -> Doing:

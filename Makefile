@@ -29,7 +29,8 @@ run: ## open the window on the simulated bench
 demo: setup ## stack three pieces without a screen and leave a report
 	@$(BIN)/touchdown demo
 
-test: setup ## all tests: offscreen, no hardware, no network
+test: setup ## all tests: offscreen, no hardware, no network; one by real keys (Xvfb, xdotool)
+	@.ci/system-packages.sh Xvfb=xvfb xdotool=xdotool
 	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/pytest $(TESTS) -q -n $(WORKERS) --dist worksteal
 
 check: lint types contracts test ## what continuous integration runs

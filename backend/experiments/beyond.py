@@ -18,6 +18,7 @@ from backend.config.load import parse
 from backend.config.method import StackSettings, StrategyName, TowerSettings
 from backend.config.simulation import SimulationSettings
 from backend.core.flow import Outcome
+from backend.experiments.by_seed import trial_lines
 from backend.experiments.ceiling import CeilingReasoner
 from backend.experiments.closed_loop import (
     Model,
@@ -132,6 +133,7 @@ class Beyond:
                     **counted(trials),
                     "left_out": left_out[s, piece, bottom],
                     **traces[s, piece, bottom],
+                    "trials": trial_lines(trials),
                 }
                 for (s, piece, bottom), trials in cells.items()
             ],

@@ -86,14 +86,17 @@ def sheets(answer: Mapping[str, Any]) -> list[Sheet]:
             )
         )
     if answer["gaps"]:
-        found.append(
-            Sheet(
-                "Share of the way from paper to ceiling, what all three did",
-                ("strategy", "of", "n", "paper %", "own %", "ceiling %", "share %"),
-                tuple(_gap(row) for row in answer["gaps"]),
-            )
-        )
+        found.append(gap_sheet(answer["gaps"]))
     return found
+
+
+def gap_sheet(rows: Sequence[Json]) -> Sheet:
+    """Return the table of the shares of the way to the ceiling."""
+    return Sheet(
+        "Share of the way from paper to ceiling, what all three did; 95 % intervals over seeds",
+        ("strategy", "of", "n", "paper %", "own %", "ceiling %", "share %"),
+        tuple(_gap(row) for row in rows),
+    )
 
 
 def _loop(cell: Json) -> tuple[str, ...]:
@@ -123,8 +126,12 @@ def _kept(cell: Json) -> tuple[str, ...]:
 
 
 def _gap(row: Json) -> tuple[str, ...]:
-    shares = [_percent(row[key]) for key in ("paper", "own", "ceiling", "share")]
-    return row["strategy"], row["what"], str(row["n"]), *shares
+    shares = [_percent(row[key]) for key in ("paper", "own", "ceiling")]
+    share = {
+        key: row[f"share{end}"] for key, end in (("value", ""), ("low", "_low"), ("high", "_high"))
+    }
+    shown = _share(share) if share["low"] is not None else _percent(share["value"])
+    return row["strategy"], row["what"], str(row["n"]), *shares, shown
 
 
 def _name(cell: Json) -> str:

@@ -19,6 +19,7 @@ from backend.config.method import StackSettings
 from backend.config.simulation import SimulationSettings
 from backend.core.flow import BeliefMap, ContactPatch, FloatArray
 from backend.experiments.beyond import CEILINGS, SINGLE, knowing, no_model, traces_of
+from backend.experiments.by_seed import group_lines
 from backend.experiments.calibration import reliability
 from backend.experiments.closed_loop import Model
 from backend.experiments.given_models import load_model
@@ -99,6 +100,7 @@ class Promises:
                     "bottom": b,
                     **scores(list(answers.values())),
                     **traces[s, p, b],
+                    "asked": group_lines(answers),
                 }
                 for (s, p, b), answers in cells.items()
             ],

@@ -13,6 +13,7 @@ from rich.table import Table
 from backend.core.faults import InputError
 from backend.verbs.experiment_asked import ASKED, add_asked_arguments, ask
 from backend.verbs.experiment_fused import add_fused_arguments, train_fused
+from backend.verbs.experiment_gap import tell_gap
 from backend.verbs.experiment_report import (
     add_report_arguments,
     compare,
@@ -39,10 +40,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
         "what",
-        choices=("tables", "report", "beyond", "fused", *ASKED),
+        choices=("tables", "report", "beyond", "gap", "fused", *ASKED),
         help="the paper's Tables I to III; their page anew, with other comparisons; strategies "
-        "beyond the paper, and the ceiling; train the network of fusion; what exists in a second "
-        "simulated world; or what each nuisance of the bench costs",
+        "beyond the paper, and the ceiling; the share of the way to it; train the network of "
+        "fusion; what exists in a second simulated world; or what each nuisance of the bench "
+        "costs",
     )
     scale = parser.add_mutually_exclusive_group()
     scale.add_argument(
@@ -114,8 +116,9 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     """Do all jobs that are not done, then write the page; 0 when no job failed."""
     if args.workers < 1:
         raise InputError("--workers must be at least 1.", "--workers", "Give a positive number.")
-    if args.what == "report":
-        screen.result({"version": JSON_VERSION, **write_anew(args, screen)})
+    if args.what in ("report", "gap"):
+        way = write_anew if args.what == "report" else tell_gap
+        screen.result({"version": JSON_VERSION, **way(args, screen)})
         return 0
     other = tables_to_compare(args.against)
     # Imported here so that `touchdown --help` starts without torch.
@@ -126,8 +129,8 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     if args.what == "beyond":
         return _run_beyond(args, screen, store)
     if args.what in ("fused", *ASKED):
-        way = train_fused if args.what == "fused" else ask
-        answer = way(args, screen, store, lambda j, e: _done(j, e, args, screen, store))
+        asked = train_fused if args.what == "fused" else ask
+        answer = asked(args, screen, store, lambda j, e: _done(j, e, args, screen, store))
         screen.result({"version": JSON_VERSION, **answer})
         return 1 if answer["failed"] else 0
     recipe = _recipe(args, store)

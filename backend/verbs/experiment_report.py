@@ -21,7 +21,7 @@ def add_report_arguments(parser: argparse.ArgumentParser) -> None:
                         "written anew, beside it (default: that of --out)")  # fmt: skip
     report.add_argument("--beyond", type=Path, nargs="+", default=[], metavar="JSON", help="its "
                         "comparisons of strategies from now on: each a beyond.json of the same "
-                        "bench (default: those that it has)")  # fmt: skip
+                        "bench (default: those that it has); gap: those to count")  # fmt: skip
 
 
 @contextmanager

@@ -87,9 +87,11 @@ def test_shares_of_the_way_count_what_all_three_did() -> None:
         ("mine", "pot", "short"): cell("placed", "placed", "fell", "placed"),
         ("ceiling", "pot", "short"): cell("placed", "placed", "placed", "placed"),
     }
-    (row,) = gaps(trials, {})
+    row, unsafe = gaps(trials, {})
     assert (row["n"], row["paper"], row["own"], row["ceiling"]) == (4, 0.25, 0.75, 1.0)
     assert row["share"] == pytest.approx(2 / 3)
+    # Of the unsafe releases one of two is gone; the ceiling has none.
+    assert (unsafe["what"], unsafe["paper"], unsafe["share"]) == ("unsafe", 0.5, 0.5)
     assert gaps({k: v for k, v in trials.items() if k[0] != "ceiling"}, {}) == []
     said = {
         ("paper", "pot", "short"): {1: answer([False] * 2, [False] * 2, [2.0, -2.0])},

@@ -30,7 +30,7 @@ from backend.placement.stability import support_hull_mm
 from backend.placement.strategy import XY, Conclusion, Held, Touched
 from backend.placement.targets import next_on_spiral
 
-NOTHING = "The signals of the probe are no numbers: giving up without a release."
+NOTHING = "The signals are no numbers, or unlike all it learned from: giving up without a release."
 NO_CONTACT = "No contact was found"
 EVEN = 0.5
 FARTHEST_MM = 14.0
@@ -60,12 +60,12 @@ class FusedReasoner:
         self._seen.append(np.asarray(touched.observation[TICKS, :], dtype=np.float64))
         com = self._held.com_xy_mm
         centre = here[0] + com[0], here[1] + com[1]
-        if not np.isfinite(self._seen).all():
+        known = self._last = self._known(touched.patch.points_mm)
+        if known is None:
             nothing = Stability(
                 False, np.nan, SupportKind.NO_ESTIMATE, np.zeros((0, 2)), centre, "belief"
             )
             return Conclusion(self._belief.map, nothing, give_up(NOTHING))
-        known = self._last = self._known(touched.patch.points_mm)
         margin_mm = self._at_risk_mm(self._inset(known, np.array([com]), here))
         cells = self._belief.map.cell_centres_mm() - np.asarray(here)
         over = self._inset(known, cells.reshape(-1, 2), here)
@@ -80,6 +80,14 @@ class FusedReasoner:
         )
         action = self._choose(stability, deepest(over, cells, com), here)
         return Conclusion(shown, stability, action)
+
+    def inset_at(self, offset_mm: XY) -> Inset | None:
+        """Return how far in the support the centre of mass would lie there; None before a probe."""
+        if self._last is None:
+            return None
+        here, com = self._offset_mm[-1], self._held.com_xy_mm
+        point = offset_mm[0] - here[0] + com[0], offset_mm[1] - here[1] + com[1]
+        return self._inset(self._last, np.array([point]), here)
 
     def missed(self, offset_mm: XY) -> PlaceAction:
         """Go half way back to where something was last felt; before that, round in a spiral.
@@ -106,33 +114,29 @@ class FusedReasoner:
 
     def stable_at(self, offset_mm: XY) -> bool:
         """Ask about another place of the face."""
-        inset = self._at(offset_mm)
+        inset = self.inset_at(offset_mm)
         return inset is not None and self._at_risk_mm(inset) >= self._settings.fused.inset_mm
 
     def likely_at(self, offset_mm: XY) -> bool:
         """Whether the centre of mass lies in the support there rather than outside."""
-        inset = self._at(offset_mm)
+        inset = self.inset_at(offset_mm)
         return inset is not None and bool(inset.exceeds(0.0)[0] > EVEN)
-
-    def _at(self, offset_mm: XY) -> Inset | None:
-        if self._last is None:
-            return None
-        here, com = self._offset_mm[-1], self._held.com_xy_mm
-        point = offset_mm[0] - here[0] + com[0], offset_mm[1] - here[1] + com[1]
-        return self._inset(self._last, np.array([point]), here)
 
     def _probes(self) -> int:
         return len(self._belief.visits) + len(self._missed_mm)
 
-    def _known(self, points_mm: FloatArray) -> FloatArray:
+    def _known(self, points_mm: FloatArray) -> FloatArray | None:
+        """Return what is known after all probes; None if there is a signal that cannot be read."""
         seen = np.stack(self._seen).astype(np.float32)
+        if not np.isfinite(seen).all():
+            return None
         held = self._held
         com = np.asarray(held.com_xy_mm, dtype=np.float64)
         face = Face.of(points_mm, com, np.asarray(held.grip_height_mm))
         fields = seen[..., :TACTILE_CHANNELS]
         wrench = felt_at(seen[..., TACTILE_CHANNELS:], self._sensor_mm)
         known = self._forward.known(wrench, fields, np.array(self._offset_mm), face)
-        return np.asarray(known[-1], dtype=np.float64)
+        return np.asarray(known[-1], dtype=np.float64) if np.isfinite(known).all() else None
 
     def _inset(self, known: FloatArray, points_mm: FloatArray, here: XY) -> Inset:
         away = np.subtract(here, self._offset_mm[0])

@@ -5,6 +5,7 @@ what it does where it knows nothing.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -114,14 +115,27 @@ def test_another_height_of_the_sensor_is_made_up_for(presses: list[Presses]) -> 
         FusedReasoner(replace(HELD, sensor_height_mm=None), SETTINGS, (0.0, 0.0))
 
 
-def test_signals_that_are_no_numbers_end_the_trial_without_a_release() -> None:
-    observation = np.full((20, 258), np.nan, np.float32)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 3e38])
+@pytest.mark.parametrize("where", [(0, 0), (19, 257), (7, 252), np.s_[:, 126:150], np.s_[:, 252:]])
+def test_signals_that_are_no_numbers_end_the_trial_without_a_release(
+    presses: list[Presses], value: float, where: Any
+) -> None:
+    """One value, a finger or the wrist, after a good probe; ready to let go at any other."""
+    bold = StackSettings(belief=SMALL, fused=FusedSettings(risk=0.999))
+    reasoner, found = concluded(presses[:1], 0, bold, places=PLACES[:1])
+    assert found[-1].action.kind == "release"
+    observation = presses[1].observation[0].copy()
+    observation[where] = value
     patch = ContactPatch(FACE.copy(), np.full(len(FACE), 0.5))
-    reasoner = begin(HELD, SETTINGS, (0.0, 0.0))
-    assert not reasoner.likely_at((0.0, 0.0))
-    conclusion = reasoner.conclude(Touched(observation, patch, (0.0, 0.0)))
+    conclusion = reasoner.conclude(Touched(observation, patch, PLACES[1]))
     assert conclusion.action.kind == "give_up"
     assert not conclusion.stability.stable
+
+
+def test_before_a_probe_nothing_is_known() -> None:
+    reasoner = begin(HELD, SETTINGS, (0.0, 0.0))
+    assert not reasoner.likely_at((0.0, 0.0))
+    assert not reasoner.stable_at((0.0, 0.0))
 
 
 def test_a_place_without_contact_sends_it_half_way_back(presses: list[Presses]) -> None:

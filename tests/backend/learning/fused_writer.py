@@ -1,0 +1,47 @@
+"""Writes two networks in turn until it is killed, or until the disk takes no more; run by itself.
+
+``FOLDER kill`` tells each write on its output; ``FOLDER full`` may write small files only.
+"""
+
+from __future__ import annotations
+
+import resource
+import signal
+import sys
+from itertools import cycle
+from pathlib import Path
+
+import numpy as np
+
+from backend.learning.fused.checkpoint import FusedCard, FusedSizes, save_fused
+from backend.learning.fused.shape import FusedShape, expected_arrays
+
+SHAPE = FusedShape(width=16, heads=2, layers=1, inner=24, parts=2)
+NAME = "fused.safetensors"
+
+
+def write(folder: Path, number: int) -> None:
+    """Write a network whose every weight is ``number``."""
+    arrays = {
+        name: np.full(size, number, np.float32) for name, size in expected_arrays(SHAPE).items()
+    }
+    sizes = FusedSizes(**SHAPE.as_json())
+    facts = {"bench_sha256": "b", "data_sha256": "d", "seed": number, "program_version": "0"}
+    save_fused(folder / NAME, arrays, FusedCard(hyper=sizes, **facts))  # type: ignore[arg-type]
+
+
+def main(folder: Path, what: str) -> None:
+    """Do as told."""
+    if what == "full":
+        # Past this size the kernel refuses each write, as it does where no block is free.
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+        write(folder, 2)
+    for number in cycle((1, 2)):
+        write(folder, number)
+        sys.stdout.write(f"{number}\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2])

@@ -156,9 +156,9 @@ class FusedSettings(Settings):
 
     weights: str = ""
     """File of the network; empty for the one that ships."""
-    risk: Probability = 0.05
+    risk: Probability = 0.07
     """Release only where the centre of mass lies in the support in all but this share [U]."""
-    inset_mm: NonNegative = 0.0
+    inset_mm: NonNegative = 0.25
     """The centre of mass must lie this far within the support to count as carried [U]."""
 
 

@@ -44,9 +44,12 @@ class Model:
 
 @dataclass(frozen=True, slots=True)
 class Concluded:
-    """One probe of a trial: where the command was, what was believed and chosen."""
+    """One probe of a trial: where the command was, where the piece really stood on the bottom
+    (``true_mm``), what was believed and chosen.
+    """
 
     offset_mm: XY
+    true_mm: XY
     map: BeliefMap
     stability: Stability
     action: PlaceAction
@@ -219,9 +222,11 @@ def _turn_away(trial: _Trial, reasoner: SeekingReasoner) -> None:
 def _conclude(trial: _Trial, touched: Touched, bench: Lockstep) -> None:
     here = trial.here
     assert trial.reasoner is not None
+    assert trial.true_mm is not None
     concluded = trial.reasoner.conclude(touched)
     action = concluded.action
-    trial.steps.append(Concluded(here, concluded.map, concluded.stability, action))
+    step = Concluded(here, trial.true_mm, concluded.map, concluded.stability, action)
+    trial.steps.append(step)
     if action.kind == "release":
         _release(trial, bench)
     elif action.kind == "give_up":

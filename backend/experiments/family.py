@@ -29,6 +29,8 @@ SIZES_MM = (8.0, 32.0)
 FACES_MM = (10.0, 30.0)
 LONGEST = 1.5
 WIDTH_MM, HEIGHT_MM = 30.0, 20.0
+HEIGHTS_MM, MASSES_G = (15.0, 45.0), (15.0, 60.0)
+"""Of bottoms that stand free."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +53,15 @@ class Family:
             tuple(catalogue.top(name).face for name in pieces),
         )
 
-    def bottom(self, rng: np.random.Generator) -> Body:
-        """Return a bottom that is fixed to the table: one that moves takes several times longer."""
+    def bottom(self, rng: np.random.Generator, *, free: bool = False) -> Body:
+        """Return a bottom that is fixed to the table; or a free one, which rocks and slides and
+        takes several times longer.
+        """
         face = _drawn(rng, SIZES_MM, self.unseen_bottoms)
-        return Body("bottom", face, face, HEIGHT_MM, 0.0, 0.5 * HEIGHT_MM, fixed=True)
+        if not free:
+            return Body("bottom", face, face, HEIGHT_MM, 0.0, 0.5 * HEIGHT_MM, fixed=True)
+        height, mass = float(rng.uniform(*HEIGHTS_MM)), float(rng.uniform(*MASSES_G))
+        return Body("bottom", face, face, height, mass, 0.5 * height)
 
     def piece(self, rng: np.random.Generator) -> Piece:
         """Return a piece: face, grip height, and a centre of mass up to 2 mm off the middle."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,75 +12,124 @@ import numpy as np
 from backend.config.bench_facts import bench_sha256
 from backend.config.simulation import SimulationSettings
 from backend.experiments.family import UNSEEN_BOTTOMS, UNSEEN_PIECES
+from backend.experiments.fused_rules import WEIGHTS, fused_trials
 from backend.experiments.sequences import load_sequences, probe_sequences
 from backend.experiments.writing import program_version
 from backend.jobs.running import Kinds, Workplace
 from backend.jobs.spec import JobSpec
 from backend.learning.fused.checkpoint import FusedCard, FusedSizes, save_fused
+from backend.learning.fused.left_out import Part
 from backend.learning.fused.training import FusedTrainer, FusedTraining, data_sha256
 from backend.learning.training import one_thread
 
-WEIGHTS = "fused.safetensors"
 FIRST_SEED, SEEDS_PER_JOB = 40_000_000, 1000
 """Far from the seeds of all tables."""
-STREAM = 60
-PIECES_PER_JOB, BOTTOMS_PER_PIECE = 3, 80
-HELD_OUT = 10
-"""One job in so many is held out: other pieces, bottoms, mountings."""
-REPORTED = 50
+HELD_OUT = 16
+"""One job in so many of each portion is held out: other pieces, bottoms, mountings."""
+REPORTED = 500
 FAMILY = (
     "faces and bottoms: circles, rectangles up to 1.5 to 1, rounded ones, random convex polygons; "
-    "bottoms of 8 to 32 mm fixed to the table, faces of 10 to 30 mm; nothing that covers a shape "
-    "left out by more than 90 % (intersection over union)"
+    "bottoms of 8 to 32 mm, {stands}, faces of 10 to 30 mm; "
+    "nothing that covers a shape left out by more than 90 % (intersection over union)"
 )
+STANDS = ("fixed to the table", "most fixed to the table, some free to rock and slide")
+
+
+@dataclass(frozen=True, slots=True)
+class Portion:
+    """What jobs of one kind press: ``pieces``, over ``bottoms`` of their own, ``probes`` each time.
+
+    ``first``, ``most``: where their stretch of seeds begins, and how many jobs fit in.
+    """
+
+    first: int
+    most: int
+    pieces: int
+    bottoms: int
+    probes: int
+    free: bool
+    """Whether the bottoms rock and slide, as in a trial; such a press takes five times longer."""
+
+
+PORTIONS = {
+    "short": Portion(0, 60, 3, 80, 5, free=False),
+    "more": Portion(60, 60, 3, 80, 5, free=False),
+    "free": Portion(500, 100, 8, 30, 8, free=True),
+    "long": Portion(600, 400, 8, 30, 8, free=False),
+}
+"""By name. The first two are alike: two machines can start at once."""
+COUNTS = {"short": 50, "more": 50}
 
 
 @dataclass(frozen=True, slots=True)
 class FusedRecipe:
-    """``parts`` jobs of ``pieces`` times ``bottoms`` sequences, a training of so many ``steps``."""
+    """So many jobs of each of ``portions``, then a training of so many ``steps``."""
 
     bench: SimulationSettings
     code: str
-    parts: int = 60
+    counts: Mapping[str, int] = field(default_factory=lambda: COUNTS)
     steps: int = 6000
     seed: int = 0
-    pieces: int = PIECES_PER_JOB
-    bottoms: int = BOTTOMS_PER_PIECE
+    without: Part | None = None
+    """What an ablation leaves out."""
+    portions: Mapping[str, Portion] = field(default_factory=lambda: PORTIONS)
 
     def jobs(self) -> list[JobSpec]:
         """Return all jobs, the training last."""
-        params = {
-            "bench": self.bench.model_dump(mode="json"),
-            "pieces": self.pieces,
-            "sequences": self.bottoms,
-        }
-        first = FIRST_SEED + 1_000_000 * self.seed
         parts = [
-            JobSpec("sequences", params, first + SEEDS_PER_JOB * place(k), (), self.code)
-            for k in range(self.parts)
+            self._part(portion, portion.first + k)
+            for name, portion in self.portions.items()
+            for k in range(self.counts.get(name, 0))
         ]
-        facts = {"bench_sha256": bench_sha256(self.bench), "steps": self.steps}
+        facts = {
+            "bench_sha256": bench_sha256(self.bench),
+            "steps": self.steps,
+            "free": self.counts.get("free", 0),
+            "counts": [n for name in self.portions if (n := self.counts.get(name, 0))],
+            "without": self.without,
+        }
         inputs = tuple(part.id for part in parts)
         return [*parts, JobSpec("fuse", facts, self.seed, inputs, self.code)]
+
+    def _part(self, portion: Portion, place: int) -> JobSpec:
+        params = {
+            "bench": self.bench.model_dump(mode="json"),
+            "pieces": portion.pieces,
+            "sequences": portion.bottoms,
+            "probes": portion.probes,
+            "free": portion.free,
+        }
+        first = FIRST_SEED + SEEDS_PER_JOB * (1000 * self.seed + place)
+        return JobSpec("sequences", params, first, (), self.code)
 
     @staticmethod
     def effort(spec: JobSpec) -> int:
         """Return how long a job takes compared with others."""
-        return 1 if spec.kind == "sequences" else max(1, spec.params["steps"] // 100)
+        if spec.kind == "sequences":
+            return 8 if spec.params["free"] else 1
+        if spec.kind == "fused-trials":
+            return int(spec.params["trials"])
+        return max(1, int(spec.params["steps"]) // 100)
 
 
-def place(part: int) -> int:
-    """Return which stretch of seeds a part has: two streams, so that two machines can start."""
-    return STREAM * (part % 2) + part // 2
+def divided(folders: Sequence[Path], counts: Sequence[int]) -> tuple[list[Path], list[Path]]:
+    """Return the folders to train on and those held out: the first of each portion."""
+    train: list[Path] = []
+    held_out: list[Path] = []
+    for end, count in zip(np.cumsum(counts), counts, strict=True):
+        kept = end - count + max(1, count // HELD_OUT)
+        held_out += folders[end - count : kept]
+        train += folders[kept:end]
+    return train, held_out
 
 
 def fuse(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
     """Train the network on the sequences of the input jobs."""
     one_thread()
     folders = [place.store.folder(source) for source in spec.inputs]
-    kept = max(1, len(folders) // HELD_OUT)
-    train, held_out = load_sequences(folders[kept:]), load_sequences(folders[:kept])
-    settings = FusedTraining(steps=spec.params["steps"], seed=spec.seed)
+    train, held_out = map(load_sequences, divided(folders, spec.params["counts"]))
+    without = spec.params["without"]
+    settings = FusedTraining(steps=spec.params["steps"], seed=spec.seed, without=without)
     trainer = FusedTrainer(train, held_out, settings)
     losses = list(trainer.steps())
     metrics = {
@@ -88,7 +138,7 @@ def fuse(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
     }
     card = FusedCard(
         hyper=FusedSizes(**settings.shape.as_json()),
-        family=FAMILY,
+        family=FAMILY.format(stands=STANDS[bool(spec.params["free"])]),
         left_out=(*UNSEEN_PIECES, *UNSEEN_BOTTOMS),
         bench_sha256=spec.params["bench_sha256"],
         data_sha256=data_sha256(train),
@@ -100,6 +150,7 @@ def fuse(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
             "steps": settings.steps,
             "batch": settings.batch,
             "learning_rate": settings.learning_rate,
+            "without": without,
         },
         metrics=metrics,
         program_version=program_version(),
@@ -108,4 +159,8 @@ def fuse(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
     return {"weights_sha256": card.weights_sha256, **metrics}
 
 
-FUSED_KINDS: Kinds = {"sequences": probe_sequences, "fuse": fuse}
+FUSED_KINDS: Kinds = {
+    "sequences": probe_sequences,
+    "fuse": fuse,
+    "fused-trials": fused_trials,
+}

@@ -43,11 +43,15 @@ AIM_SD_MM = 2.0
 ATTEMPTS = 4
 CORNERS = 128
 DATA = "sequences.npz"
+OF_PROBES = ("wrench", "field", "offset_mm", "true_mm")
 _DRAWS = 79
 
 
 def probe_sequences(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
-    """Press sequences of ``pieces`` random pieces, each over bottoms of its own; one file."""
+    """Press sequences of ``pieces`` random pieces, each over bottoms of its own; one file.
+
+    ``free``: the bottoms rock and slide, as in a trial; ``probes``: how many a sequence has.
+    """
     p, catalogue = spec.params, load_catalogue()
     settings = parse(SimulationSettings, p["bench"], "job")
     one_thread()
@@ -57,8 +61,9 @@ def probe_sequences(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
     for number in range(p["pieces"]):
         first = spec.seed + number * p["sequences"]
         seeds = list(range(first, first + p["sequences"]))
-        bottoms = [family.bottom(rng) for _ in seeds]
-        parts.append(sequences_of(family.piece(rng), bottoms, settings, seeds, rng))
+        bottoms = [family.bottom(rng, free=p["free"]) for _ in seeds]
+        piece = family.piece(rng)
+        parts.append(sequences_of(piece, bottoms, settings, seeds, rng, p["probes"]))
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     np.savez(place.folder / DATA, **joined)  # type: ignore[arg-type]
     return {
@@ -69,7 +74,7 @@ def probe_sequences(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
 
 
 class Mixed(Lockstep):
-    """Trials over bottoms of their own, all fixed to the table."""
+    """Trials over bottoms of their own, all fixed to the table or none of them."""
 
     @staticmethod
     def shared(scene: Scene) -> tuple[object, ...]:
@@ -98,13 +103,15 @@ def sequences_of(
     settings: SimulationSettings,
     seeds: Sequence[int],
     rng: np.random.Generator,
+    probes: int = PROBES,
 ) -> dict[str, NDArray[Any]]:
     """Return s sequences of one piece as arrays, one row for each of ``bottoms``.
 
     ``wrench`` (s, P, T, 6) in N and N·m, ``field`` (s, P, T, 252) in px at ``TICKS``,
-    ``offset_mm`` commanded and ``true_mm`` (s, P, 2), ``count`` (s,): how many probes a sequence
-    has, the rest is zero. ``support_mm`` (s, 128, 2): outline of the bottom, its last corner
-    repeated; ``reach_mm`` (s, 16), ``com_mm`` (s, 2), ``grip_height_mm`` (s,): the face.
+    ``offset_mm`` commanded and ``true_mm`` (s, P, 2), the latter from where the bottom has slid
+    to, ``count`` (s,): how many of P = ``probes`` a sequence has, the rest is zero.
+    ``support_mm`` (s, 128, 2): outline of the bottom, its last corner repeated; ``reach_mm``
+    (s, 16), ``com_mm`` (s, 2), ``grip_height_mm`` (s,): the face.
     """
     scenes = [
         Scene(piece, Tower((bottom,)), (0.0, 0.0), seed, settings)
@@ -112,10 +119,10 @@ def sequences_of(
     ]
     bench, limits, n = Mixed(scenes), EpisodeLimits(), len(scenes)
     anywhere, lever = rng.random(n) < ANYWHERE, np.asarray(scenes[0].grip_height_mm + SENSOR_MM)
-    offset, true = np.zeros((n, PROBES, 2)), np.zeros((n, PROBES, 2))
-    seen = np.zeros((n, PROBES, len(TICKS), CHANNELS), np.float32)
+    offset, true = np.zeros((n, probes, 2)), np.zeros((n, probes, 2))
+    seen = np.zeros((n, probes, len(TICKS), CHANNELS), np.float32)
     count = np.zeros(n, np.int64)
-    for probe in range(PROBES):
+    for probe in range(probes):
         waiting = np.flatnonzero(count == probe)
         for _ in range(ATTEMPTS):
             if not len(waiting):
@@ -174,7 +181,13 @@ def corners_mm(outline: Outline) -> NDArray[np.float32]:
     return np.concatenate([polygon, filled]).astype(np.float32)
 
 
-def load_sequences(folders: list[Path]) -> dict[str, NDArray[Any]]:
-    """Return the sequences of all folders, joined in order."""
-    parts = [np.load(folder / DATA) for folder in folders]
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0].files}
+def load_sequences(folders: Sequence[Path]) -> dict[str, NDArray[Any]]:
+    """Return the sequences of all folders, joined in order; shorter ones end in zeros."""
+    parts = [dict(np.load(folder / DATA)) for folder in folders]
+    longest = max(part["true_mm"].shape[1] for part in parts)
+    for part in parts:
+        for name in OF_PROBES:
+            missing = longest - part[name].shape[1]
+            wide = [(0, 0), (0, missing)] + (part[name].ndim - 2) * [(0, 0)]
+            part[name] = np.pad(part[name], wide)
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

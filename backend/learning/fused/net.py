@@ -12,12 +12,16 @@ from backend.learning.fused.shape import FusedShape, weight_shapes
 
 SQUARE_ROOT_OF_TWO_PI = math.sqrt(2.0 * math.pi)
 LEAST_LOG_SD, MOST_LOG_SD = -4.0, 2.0
+WB = ("weight", "bias")
 
 
 class FusedNet(nn.Module):
-    """From the probes of one gripping to a distribution of how far a point lies in the support."""
+    """From the probes of one gripping to a distribution of how far a point lies in the support.
 
-    def __init__(self, shape: FusedShape, seed: int) -> None:
+    ``alone``: attention adds zero, for good, so that each probe is read by itself.
+    """
+
+    def __init__(self, shape: FusedShape, seed: int, *, alone: bool = False) -> None:
         super().__init__()
         self.shape = shape
         generator = torch.Generator().manual_seed(seed)
@@ -25,6 +29,10 @@ class FusedNet(nn.Module):
         for name, size in weight_shapes(shape).items():
             drawn = torch.randn(size, generator=generator) / math.sqrt(size[-1])
             self.weights[_key(name)] = drawn if len(size) > 1 else torch.zeros(size)
+        if alone:
+            for name in (f"{layer}.joins.{what}" for layer in range(shape.layers) for what in WB):
+                self.weights[_key(name)].data.zero_()
+                self.weights[_key(name)].requires_grad_(False)
 
     def fused(self, probes: Tensor) -> Tensor:
         """Return (b, P, width): what is known after each of the probes (b, P, inputs), scaled."""

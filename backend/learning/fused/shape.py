@@ -21,10 +21,10 @@ class FusedShape:
     each followed by ``inner`` units; ``parts`` normal distributions make the answer for a point.
     """
 
-    width: int = 64
+    width: int = 96
     heads: int = 4
     layers: int = 2
-    inner: int = 128
+    inner: int = 192
     parts: int = 3
 
     def as_json(self) -> dict[str, int]:

@@ -16,6 +16,7 @@ from torch import Tensor
 from backend.core.flow import FloatArray
 from backend.learning.adam import Adam
 from backend.learning.fused.forward import point_inputs
+from backend.learning.fused.left_out import UNREAD, Part, unread
 from backend.learning.fused.net import FusedNet, arrays_of, surprise
 from backend.learning.fused.shape import FusedShape
 from backend.learning.fused.summary import (
@@ -31,7 +32,7 @@ POINTS = 8
 """Points asked for after each probe: the centre of mass, four near it, three anywhere."""
 NEAR_MM, ANYWHERE_MM = 2.5, 16.0
 MIRRORS = ((False, False), (True, False), (False, True), (True, True))
-FIRST_OF_FIELDS = 2000
+FIRST_OF_FIELDS = AT_ONCE = 2000
 Arrays = Mapping[str, NDArray[Any]]
 
 
@@ -44,6 +45,8 @@ class FusedTraining:
     learning_rate: float = 2e-3
     seed: int = 0
     shape: FusedShape = field(default_factory=FusedShape)
+    without: Part | None = None
+    """What an ablation leaves out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,39 +73,42 @@ class Sequences:
 
 
 def sequences(arrays: Arrays, modes: NDArray[np.float32], *, mirror: bool) -> Sequences:
-    """Prepare the sequences of ``backend.experiments.sequences``, with mirror images if wanted."""
-    parts = []
-    for across_x, across_y in MIRRORS if mirror else MIRRORS[:1]:
-        signs = np.array([-1.0 if across_x else 1.0, -1.0 if across_y else 1.0])
-        wrench, seen = mirrored(
-            arrays["wrench"], arrays["field"], across_x=across_x, across_y=across_y
-        )
-        face = Face(
-            *(arrays[k].astype(np.float64) for k in ("reach_mm", "com_mm", "grip_height_mm"))
-        ).mirrored(across_x=across_x, across_y=across_y)
-        offset = arrays["offset_mm"] * signs
-        inputs = probe_inputs(wrench, seen, offset, face, modes)
-        piece = np.broadcast_to(
-            face.inputs()[:, None], (*inputs.shape[:2], face.inputs().shape[-1])
-        )
-        normal, reach = half_planes(arrays["support_mm"].astype(np.float64))
-        count = arrays["count"]
-        parts.append(
-            (
-                np.concatenate([inputs, piece], axis=-1),
-                arrays["true_mm"] * signs,
-                offset,
-                face.com_mm,
-                normal * signs,
-                reach,
-                np.arange(inputs.shape[1]) < count[:, None],
-            )
-        )
-    joined = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    tensors = [torch.from_numpy(values.astype(np.float32)) for values in joined[:-1]]
-    probes, true, placed, com, outward, reaches = tensors
-    there = torch.from_numpy(joined[-1])
-    return Sequences(probes, true, placed, com, outward, reaches, there)
+    """Prepare the sequences of ``backend.experiments.sequences``, with mirror images if wanted.
+
+    By so many at a time: all marker fields at once would fill the memory.
+    """
+    parts = [
+        _prepared({name: values[first : first + AT_ONCE] for name, values in arrays.items()}, modes,
+                  across_x=across_x, across_y=across_y)
+        for across_x, across_y in (MIRRORS if mirror else MIRRORS[:1])
+        for first in range(0, len(arrays["count"]), AT_ONCE)
+    ]  # fmt: skip
+    return Sequences(*(torch.from_numpy(np.concatenate(c)) for c in zip(*parts, strict=True)))
+
+
+def _prepared(
+    arrays: Arrays, modes: NDArray[np.float32], *, across_x: bool, across_y: bool
+) -> tuple[NDArray[Any], ...]:
+    """Return the columns of ``Sequences`` of a few sequences, mirrored across x, y, both or not."""
+    signs = np.array([-1.0 if across_x else 1.0, -1.0 if across_y else 1.0])
+    wrench, seen = mirrored(arrays["wrench"], arrays["field"], across_x=across_x, across_y=across_y)
+    face = Face(
+        *(arrays[k].astype(np.float64) for k in ("reach_mm", "com_mm", "grip_height_mm"))
+    ).mirrored(across_x=across_x, across_y=across_y)
+    offset = arrays["offset_mm"] * signs
+    inputs = probe_inputs(wrench, seen, offset, face, modes)
+    piece = np.broadcast_to(face.inputs()[:, None], (*inputs.shape[:2], face.inputs().shape[-1]))
+    normal, reach = half_planes(arrays["support_mm"].astype(np.float64))
+    columns = (
+        np.concatenate([inputs, piece], axis=-1),
+        arrays["true_mm"] * signs,
+        offset,
+        face.com_mm,
+        normal * signs,
+        reach,
+    )
+    there = np.arange(inputs.shape[1]) < arrays["count"][:, None]
+    return (*(column.astype(np.float32) for column in columns), there)
 
 
 def half_planes(polygon_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -122,13 +128,15 @@ class FusedTrainer:
     def __init__(self, train: Arrays, held_out: Arrays, settings: FusedTraining) -> None:
         self._settings = settings
         self.modes = typical_fields(train["field"][:FIRST_OF_FIELDS])
-        self._train = sequences(train, self.modes, mirror=True)
+        self._train = sequences(train, self.modes, mirror=settings.without != "mirrors")
         self._held_out = sequences(held_out, self.modes, mirror=False)
         rows = self._train.probes[self._train.there]
         self.mean, spread = rows.mean(dim=0), rows.std(dim=0)
         self.scale = torch.where(spread > 1e-6, spread, torch.ones(()))
-        self.net = FusedNet(settings.shape, settings.seed)
-        self._adam = Adam(self.net.parameters(), settings.learning_rate)
+        self.scale[torch.from_numpy(unread(settings.without))] = UNREAD
+        self.net = FusedNet(settings.shape, settings.seed, alone=settings.without == "others")
+        learned = (weight for weight in self.net.parameters() if weight.requires_grad)
+        self._adam = Adam(learned, settings.learning_rate)
         self._generator = torch.Generator().manual_seed(settings.seed + 1)
 
     def steps(self) -> Iterator[float]:

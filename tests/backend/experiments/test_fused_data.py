@@ -5,6 +5,7 @@ bench presses, and a network with its card at the end.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,8 +20,10 @@ from backend.experiments.family import (
     likeness,
     resembles,
 )
-from backend.experiments.fused import FUSED_KINDS, WEIGHTS, FusedRecipe
-from backend.experiments.sequences import PROBES, Mixed, load_sequences, stepped
+from backend.experiments.fused import FUSED_KINDS, PORTIONS, FusedRecipe, Portion
+from backend.experiments.fused_rules import WEIGHTS, rule_jobs
+from backend.experiments.recipes import CELL_SEEDS, STACKING_SEED, STATIC_SEED, TRAINING_SEED
+from backend.experiments.sequences import Mixed, load_sequences, stepped
 from backend.jobs.campaign import run_campaign
 from backend.jobs.executor import Serial
 from backend.jobs.store import JobStore
@@ -76,10 +79,13 @@ def test_nothing_drawn_resembles_what_is_called_unseen() -> None:
     assert {o.kind for o in faces} == {"circle", "polygon"}
 
 
-def test_side_by_side_each_presses_its_own_bottom(bench_v1: SimulationSettings) -> None:
+@pytest.mark.parametrize("fixed", [True, False])
+def test_side_by_side_each_presses_its_own_bottom(
+    bench_v1: SimulationSettings, fixed: bool
+) -> None:
     piece = load_catalogue().top("pot")
     bottoms = [
-        Body("bottom", face, face, 20.0, 0.0, 10.0, fixed=True)
+        Body("bottom", face, face, 20.0, 30.0, 10.0, fixed=fixed)
         for face in (circle(14.0), square(22.0))
     ]
     scenes = [Scene(piece, Tower((b,)), (0.0, 0.0), 3 + k, bench_v1) for k, b in enumerate(bottoms)]
@@ -88,6 +94,7 @@ def test_side_by_side_each_presses_its_own_bottom(bench_v1: SimulationSettings) 
     for k in range(2):
         alone = Lockstep(scenes[k : k + 1]).press([0], places[k : k + 1])
         np.testing.assert_allclose(together.observation[k], alone.observation[0], atol=2e-3)
+        np.testing.assert_allclose(together.true_mm[k], alone.true_mm[0], atol=1e-4)
     with pytest.raises(ValueError, match="share"):
         Lockstep(scenes)
 
@@ -102,22 +109,51 @@ def test_a_step_knows_only_where_the_press_acted() -> None:
     assert abs(step[:, 1].mean()) < 0.3
 
 
+TINY = {
+    "short": Portion(0, 60, pieces=1, bottoms=2, probes=2, free=False),
+    "free": Portion(500, 100, pieces=1, bottoms=1, probes=3, free=True),
+}
+
+
+def tiny(bench: SimulationSettings, **others: Any) -> FusedRecipe:
+    return FusedRecipe(bench, "test", {"short": 2, "free": 2}, steps=3, portions=TINY, **others)
+
+
 def test_from_nothing_to_a_network_with_its_card(
     bench_v1: SimulationSettings, tmp_path: Path
 ) -> None:
-    recipe = FusedRecipe(bench_v1, "test", parts=2, steps=3, pieces=1, bottoms=2)
     store = JobStore(tmp_path)
-    jobs = recipe.jobs()
+    jobs = tiny(bench_v1).jobs()
     for result in run_campaign(jobs, Serial(FUSED_KINDS, store), store):
         assert result.state == "done", result.error
-    data = load_sequences([store.folder(jobs[0].id)])
-    assert data["wrench"].shape == (2, PROBES, 8, CHANNELS - TACTILE_CHANNELS)
-    assert (data["count"] <= PROBES).all()
-    assert data["count"].max() == PROBES
+    data = load_sequences([store.folder(job.id) for job in (jobs[0], jobs[2])])
+    # Two sequences of two presses and one of three, all padded to three.
+    assert data["wrench"].shape == (3, 3, 8, CHANNELS - TACTILE_CHANNELS)
+    assert data["count"].tolist()[:2] == [2, 2]
+    assert data["count"][2] <= 3
+    assert not data["wrench"][:2, 2].any()
+    assert data["wrench"][:2, :2].any(axis=(2, 3)).all()
     # The start of a sequence overlaps its bottom, and steps are those of a trial or anywhere.
     found = load_fused(store.folder(jobs[-1].id) / WEIGHTS)
     assert found.card.bench_sha256.startswith("03b08d28746d9339")
     assert found.card.left_out == (*UNSEEN_PIECES, *UNSEEN_BOTTOMS)
-    assert found.card.training["sequences"] == 2
-    again = FusedRecipe(bench_v1, "test", parts=2, steps=3, pieces=1, bottoms=2, seed=1)
-    assert not {job.seed for job in again.jobs()[:2]} & {job.seed for job in jobs[:2]}
+    # The first part of either portion is held out.
+    assert found.card.training["sequences"] == 3
+    assert found.card.training["held_out_sequences"] == 3
+    again = tiny(bench_v1, seed=1)
+    assert not {job.seed for job in again.jobs()[:4]} & {job.seed for job in jobs[:4]}
+
+
+def test_no_two_parts_share_a_seed_and_none_has_one_of_the_tables(
+    bench_v1: SimulationSettings,
+) -> None:
+    counts = {name: portion.most for name, portion in PORTIONS.items()}
+    seeds: list[int] = []
+    for seed in (0, 1):
+        jobs = FusedRecipe(bench_v1, "test", counts, seed=seed).jobs()[:-1]
+        seeds += [job.seed + k for job in jobs for k in range(240)]
+    assert len(set(seeds)) == len(seeds)
+    highest = max(TRAINING_SEED, STATIC_SEED, STACKING_SEED) + 100 * CELL_SEEDS
+    own = [job.seed + k for job in rule_jobs(bench_v1, "test", "n", 64) for k in range(8)]
+    assert highest < min(seeds) < max(seeds) < min(own)
+    assert len(set(own)) == len(own)

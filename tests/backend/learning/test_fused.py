@@ -19,6 +19,7 @@ from backend.experiments import worlds
 from backend.experiments.worlds import Setting, Worlds, feel
 from backend.learning.fused.checkpoint import FusedCard, FusedSizes, load_fused, save_fused
 from backend.learning.fused.forward import FusedForward, point_inputs
+from backend.learning.fused.left_out import Part
 from backend.learning.fused.net import FusedNet, arrays_of
 from backend.learning.fused.shape import FusedShape, expected_arrays
 from backend.learning.fused.summary import (
@@ -270,3 +271,23 @@ def test_a_bad_file_is_refused_by_name(kept: Path, what: str) -> None:
         load_fused(kept)
     assert kept.name in str(refused.value)
     assert len(TICKS) == 8
+
+
+@pytest.mark.parametrize("part", ["wrench", "fields", "others"])
+def test_what_an_ablation_leaves_out_changes_nothing(part: Part) -> None:
+    settings = FusedTraining(2, 16, seed=3, shape=SMALL, without=part)
+    trainer = FusedTrainer(made_up(24, 1), made_up(8, 2), settings)
+    list(trainer.steps())
+    forward = FusedForward(trainer.arrays(), SMALL)
+    rng = np.random.default_rng(5)
+    wrench, field = signals(rng, 3)
+    offset = rng.normal(size=(3, 2))
+    other_wrench, other_field = signals(rng, 3)
+    known = forward.known(wrench, field, offset, FACE)[-1]
+    changed = {
+        "wrench": forward.known(other_wrench, field, offset, FACE)[-1],
+        "fields": forward.known(wrench, other_field, offset, FACE)[-1],
+        "others": forward.known(wrench[2:], field[2:], offset[2:], FACE)[-1],
+    }
+    for name, found in changed.items():
+        assert np.allclose(found, known, atol=1e-9) == (name == part)

@@ -26,6 +26,7 @@ from backend.jobs.running import Workplace
 from backend.jobs.spec import JobSpec
 from backend.learning.training import one_thread
 from backend.objects.catalogue import load_catalogue
+from backend.placement.fused import network_of
 from backend.sensing.episode import EpisodeLimits
 from backend.simulation.elsewhere.bench import Elsewhere
 from backend.simulation.lockstep import Lockstep
@@ -70,6 +71,9 @@ def trials_jobs(
     place: Place, pair: tuple[str, str], strategy: tuple[str, str], trials: int, code: str
 ) -> list[JobSpec]:
     """Return the jobs of ``trials`` trials; ``strategy``: its name, and the job of its model."""
+    network = {}
+    if strategy[0] == "fused":
+        network["fused_sha256"] = network_of(StackSettings().fused).card.weights_sha256
     return [
         JobSpec(
             "asked-trials",
@@ -77,6 +81,7 @@ def trials_jobs(
                 **_asked(place, pair),
                 "strategy": strategy[0],
                 "trials": min(TRIALS_A_JOB, trials - k),
+                **network,
             },
             TRIALS_SEED + _cell(pair) + k,
             (strategy[1],),

@@ -90,6 +90,17 @@ def sheets(answer: Mapping[str, Any]) -> list[Sheet]:
     return found
 
 
+def markdown(found: Sequence[Sheet]) -> str:
+    """Return tables as they stand in a document."""
+    parts = []
+    for sheet in found:
+        lines = [sheet.columns, ("---",) * len(sheet.columns), *sheet.rows]
+        parts.append(
+            "\n".join([f"{sheet.title}:", "", *(f"| {' | '.join(row)} |" for row in lines)])
+        )
+    return "\n\n".join(parts) + "\n"
+
+
 def gap_sheet(rows: Sequence[Json]) -> Sheet:
     """Return the table of the shares of the way to the ceiling."""
     return Sheet(

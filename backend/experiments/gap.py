@@ -60,7 +60,7 @@ def merged_gaps(stored: Sequence[tuple[str, Mapping[str, Any]]]) -> list[Json]:
         raise InputError("They were made on different benches.", "--beyond", "Name those of one.")
     for name, answer in stored:
         for mine, more in ((trials, trials_in(answer)), (answers, answers_in(answer))):
-            for cell in mine.keys() & more.keys():
+            for cell in sorted(mine.keys() & more.keys()):
                 what = f"{' '.join(cell)} stands in another of the files too."
                 raise InputError(what, name, "Name one file for each strategy and cell.")
             mine.update(more)  # type: ignore[arg-type]

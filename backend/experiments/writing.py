@@ -11,6 +11,7 @@ from typing import Any
 from backend.core.faults import InputError
 from backend.core.files import write_atomically
 from backend.experiments.beyond_page import beyond_page
+from backend.experiments.compared import markdown, sheets
 from backend.experiments.film import FILM
 from backend.experiments.reading import read_beyond, read_report
 from backend.experiments.recipes import BOTTOMS, TWO, Recipe
@@ -20,7 +21,7 @@ from backend.experiments.tables_report import report_of
 from backend.jobs.store import JobStore
 
 PAGE, DATA = "tables.html", "tables.json"
-BEYOND_PAGE, BEYOND_DATA = "beyond.html", "beyond.json"
+BEYOND_PAGE, BEYOND_DATA, BEYOND_TABLES = "beyond.html", "beyond.json", "beyond.md"
 Json = dict[str, Any]
 
 
@@ -67,6 +68,7 @@ def write_beyond(out: Path, answer: Mapping[str, Any]) -> Path:
     content = json.dumps(answer, indent=1, sort_keys=True).encode() + b"\n"
     write_atomically(out / BEYOND_DATA, content)
     write_atomically(out / BEYOND_PAGE, beyond_page(answer).encode())
+    write_atomically(out / BEYOND_TABLES, markdown(sheets(answer)).encode())
     return out / BEYOND_DATA
 
 

@@ -13,7 +13,7 @@ from backend.verbs.experiment_report import written_whole
 from backend.verbs.screen import Screen
 
 Json = dict[str, Any]
-KEPT = "gap.json"
+KEPT, TABLE = "gap.json", "gap.md"
 
 
 def tell_gap(args: argparse.Namespace, screen: Screen) -> Json:
@@ -23,7 +23,7 @@ def tell_gap(args: argparse.Namespace, screen: Screen) -> Json:
     """
     # Imported here so that `touchdown --help` starts without torch.
     from backend.core.files import write_atomically
-    from backend.experiments.compared import gap_sheet
+    from backend.experiments.compared import gap_sheet, markdown
     from backend.experiments.formats import BEYOND_FORMAT
     from backend.experiments.gap import merged_gaps
     from backend.experiments.reading import read_beyond
@@ -56,5 +56,6 @@ def tell_gap(args: argparse.Namespace, screen: Screen) -> Json:
     file = args.out / KEPT
     with written_whole(file):
         args.out.mkdir(parents=True, exist_ok=True)
+        write_atomically(args.out / TABLE, markdown([sheet]).encode())
         write_atomically(file, json.dumps(content, indent=1, sort_keys=True).encode() + b"\n")
     return {"file": str(file), "gaps": rows}

@@ -93,8 +93,11 @@ def test_one_command_prints_the_shares_over_several_files(
     # What it leaves can be shown with tables, like any other comparison.
     kept = json.loads((tmp_path / "out" / "gap.json").read_text("utf-8"))
     assert (kept["format"], kept["gaps"]) == (BEYOND_FORMAT, rows)
+    assert (
+        "| mine | placed | 4 | 50.0 | 75.0 | 100.0 | 50.0" in (tmp_path / "out/gap.md").read_text()
+    )
     assert main(["experiment", "gap", *out, str(files[1]), "--json"]) == 2
-    assert "paper pot long" in json.loads(capsys.readouterr().err)["error"]["what"]
+    assert "mine pot long" in json.loads(capsys.readouterr().err)["error"]["what"]
     assert main(["experiment", "gap", *out[:2], "--beyond", str(files[1]), "--json"]) == 2
     assert "ceiling" in json.loads(capsys.readouterr().err)["error"]["what"]
 

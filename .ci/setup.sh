@@ -38,8 +38,12 @@ if [ "$present" != "$version" ]; then
 fi
 
 printf 'setup: installing packages (the first time takes some minutes)\n'
-.venv/bin/python -m pip install --quiet --disable-pip-version-check \
-    --constraint constraints.txt --editable '.[dev,mujoco]' \
+install() {
+    .venv/bin/python -m pip install --quiet --disable-pip-version-check \
+        --constraint constraints.txt --editable '.[dev,mujoco]'
+}
+# What came through is kept by pip: the second try goes on where a broken download ended the first.
+install || { printf 'setup: once more in 10 s\n' >&2; sleep 10; install; } \
     || fail "pip could not install the packages (see above). Is the network reachable?"
 .ci/system-packages.sh
 printf '%s' "$key" > .venv/.ready

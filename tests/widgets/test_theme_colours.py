@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +11,12 @@ from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QComboBox, QLineEdit, QPushButton, QSpinBox
 
 from widgets.arrows import BIN_COLOURS
+from widgets.scene_shot import LOOKS
 from widgets.style_sheet import style_sheet
 from widgets.theme import CONTRAST, DARK, LIGHT, contrast_ratio, load_resources
 
+ROOT = Path(__file__).parents[2]
+ARROWS_ON = "#14181C"
 THEMES = [DARK, LIGHT, CONTRAST]
 IDS = [t.name for t in THEMES]
 
@@ -71,7 +75,8 @@ def test_verdicts_and_traces_can_be_read(tokens):
         assert ratio(tokens, ink, "bg") >= 4.5
         assert ratio(tokens, ink, "panel") >= 4.5
     for ink in ("good", "bad"):
-        assert ratio(tokens, ink, "panel") >= 4.5
+        for ground in ("panel", "bg", "raised", "hover"):
+            assert ratio(tokens, ink, ground) >= 4.5
 
 
 @pytest.mark.parametrize("tokens", THEMES, ids=IDS)
@@ -128,6 +133,7 @@ def test_arrows_are_seen_on_the_dimmed_gel():
     """The grey of a gel's picture at 70 %, as it was measured for the arrow colours."""
     for colour in BIN_COLOURS:
         assert contrast_ratio(QColor(colour), QColor("#464646")) >= 3.0
+        assert contrast_ratio(QColor(colour), QColor(ARROWS_ON)) >= 3.0
 
 
 @pytest.mark.parametrize("tokens", THEMES, ids=IDS)
@@ -172,6 +178,44 @@ def test_axis_colours_differ_for_every_vision(tokens):
 def test_pills_differ_for_every_vision():
     fills = [DARK.pill_grey, DARK.pill_blue, DARK.pill_green, DARK.pill_yellow, DARK.pill_red]
     assert smallest_distance(fills) >= 20
+
+
+@pytest.mark.parametrize("tokens", THEMES, ids=IDS)
+def test_good_and_bad_differ_for_every_vision(tokens):
+    """They have a mark and a word besides."""
+    assert smallest_distance([tokens.good, tokens.bad]) >= 20
+
+
+def test_outlines_on_photographs_are_seen_and_differ():
+    """What is seen by the camera is dotted besides; the letters lie on black."""
+    colours = {kind: colour for kind, (colour, _) in LOOKS.items()}
+    for colour in colours.values():
+        assert contrast_ratio(QColor(colour), QColor("#6B6B6B")) >= 3.0
+        assert contrast_ratio(QColor(colour), QColor("#000000")) >= 4.5
+    assert smallest_distance([colours["bottom"], colours["label"]]) >= 20
+    assert smallest_distance(list(colours.values())) >= 13
+
+
+def test_every_colour_that_is_no_token_is_one_of_those_looked_at_here():
+    """White and black are marks that lie on each other; the ground of the arrows is always dark."""
+    known = {*BIN_COLOURS, *(colour for colour, _ in LOOKS.values())}
+    known |= {"#FFFFFF", "#000000", ARROWS_ON}
+    theme, found = ROOT / "widgets" / "theme.py", set()
+    for file in (*(ROOT / "widgets").rglob("*.py"), *(ROOT / "app").rglob("*.py")):
+        if file != theme:
+            found |= set(re.findall(r"#[0-9A-Fa-f]{6}\b", file.read_text("utf-8")))
+    assert found
+    assert found <= known
+
+
+@pytest.mark.parametrize("tokens", THEMES, ids=IDS)
+def test_ticks_and_arrows_of_controls_are_seen(tokens):
+    for name in ("tick", "up", "down"):
+        drawing = (ROOT / "resources" / "icons" / f"{name}-{tokens.name}.svg").read_text("utf-8")
+        inks = re.findall(r"#[0-9A-Fa-f]{6}", drawing)
+        assert inks
+        for ink in inks:
+            assert contrast_ratio(QColor(ink), tokens.colour("bg")) >= 3.0
 
 
 def test_the_distance_test_can_fail():

@@ -39,7 +39,7 @@ def live(main, bench, qtbot):
     return main
 
 
-def settle(main, ticks=4):
+def settle(main, ticks=12):
     """Turn the pump until everything waiting is shown."""
     from PySide6.QtWidgets import QApplication
 

@@ -60,7 +60,7 @@ def turn(main, session, seconds, held=False):
         session.advance()
         if count % 2:
             main.pump.tick()
-    for _ in range(4):
+    for _ in range(12):
         main.pump.tick()
 
 

@@ -75,7 +75,7 @@ def turn_until(desk, qtbot, done):
             QApplication.processEvents()
             if done():
                 qtbot.waitUntil(lambda: not collect.reader.busy, timeout=60_000)
-                for _ in range(4):
+                for _ in range(12):
                     main.pump.tick()
                 return
     pytest.fail(f"it did not get there: {session.status()}, {main.cards.codes}")

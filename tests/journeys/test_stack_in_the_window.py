@@ -70,7 +70,7 @@ def desk(qapp, qtbot, tmp_path, monkeypatch):
     main.attach(link)
     main.window.show()
     qtbot.waitExposed(main.window, timeout=60_000)
-    for _ in range(4):
+    for _ in range(12):
         main.pump.tick()
     yield main, link
     main.close()
@@ -86,7 +86,7 @@ def turn_until(main, link, done, most=1500):
             main.pump.tick()
             QApplication.processEvents()
         if done():
-            for _ in range(4):
+            for _ in range(12):
                 main.pump.tick()
             return
     told = [main.cards.card(c).text for c in main.cards.codes]

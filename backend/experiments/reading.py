@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from backend.core.faults import InputError
+from backend.experiments.by_seed import answers_in, trials_in
 from backend.experiments.document import Report
 from backend.experiments.formats import BEYOND_READABLE, TABLES_FORMAT
 from backend.experiments.strategies_report import strategy_sections
@@ -36,6 +37,8 @@ def read_beyond(file: Path) -> Json:
     try:
         strategy_sections({"table2": [], "table3": [], "beyond": [found]})
         str(found["bench_sha256"])
+        trials_in(found)
+        answers_in(found)
     except STRANGE as error:
         raise InputError(_damaged(error), str(file), fix) from error
     return found

@@ -40,7 +40,7 @@ def strategy_sections(tables: Json) -> list[Section]:
     found = [
         _stacking(_stacked(tables, answers), tuple(map(_source, answers))),
         _asked(_said(tables, answers)),
-        _gaps(answers),
+        _gaps(tables["gaps"] if "gaps" in tables else _own_gaps(answers)),
         _kept(answers),
     ]
     return [section for section in found if section is not None]
@@ -180,8 +180,11 @@ def _verdict(cell: Json) -> Entry:
     return Entry(shown.value, shown.interval, notes, tuple(cell.get("jobs", ())), cell.get("seed"))
 
 
-def _gaps(answers: Iterable[Json]) -> Section | None:
-    rows = [row for answer in answers for row in answer.get("gaps") or ()]
+def _own_gaps(answers: Iterable[Json]) -> list[Json]:
+    return [row for answer in answers for row in answer.get("gaps") or ()]
+
+
+def _gaps(rows: Sequence[Json]) -> Section | None:
     if not rows:
         return None
     lines = tuple(

@@ -13,6 +13,7 @@ from backend.core.files import write_atomically
 from backend.experiments.beyond_page import beyond_page
 from backend.experiments.compared import markdown, sheets
 from backend.experiments.film import FILM
+from backend.experiments.gap import merged_gaps
 from backend.experiments.reading import read_beyond, read_report
 from backend.experiments.recipes import BOTTOMS, TWO, Recipe
 from backend.experiments.tables import tables
@@ -52,6 +53,7 @@ def rewrite_tables(file: Path, compared: Sequence[Path]) -> Path:
         answers.append(answer)
     if answers:
         found["beyond"] = answers
+        found["gaps"] = _gaps_over(compared, answers)
     return _written(file, found)
 
 
@@ -61,6 +63,14 @@ def _written(file: Path, found: Json) -> Path:
     write_atomically(page, tables_page(report_of(found)).encode())
     write_atomically(file, json.dumps(found, indent=1, sort_keys=True).encode() + b"\n")
     return page
+
+
+def _gaps_over(files: Sequence[Path], answers: Sequence[Json]) -> list[Json]:
+    """Return the shares of the way over all files; those of each where they hold a cell twice."""
+    try:
+        return merged_gaps([(str(f), a) for f, a in zip(files, answers, strict=True)])
+    except InputError:
+        return [row for answer in answers for row in answer.get("gaps") or ()]
 
 
 def write_beyond(out: Path, answer: Mapping[str, Any]) -> Path:

@@ -33,7 +33,7 @@ class TrainingJob(Message):
     keep: Path | None = None
     """Folder that takes the manifest of the training set and sample predictions, if any."""
     threads: Annotated[int, Field(ge=1, le=64)] = 1
-    """Two threads beside other work wait for each other: measured, 9 times the processor time."""
+    """More than one gain where as many cores are free; other last digits than one thread gives."""
 
 
 class Loaded(Message):

@@ -24,7 +24,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     _add_data(parser)
     _add_training(parser, TrainingSettings())
-    parser.add_argument("--threads", type=int, default=1, help="processor threads (default: 1)")
+    parser.add_argument(
+        "--threads",
+        type=int,
+        default=1,
+        help="processor threads, as many as there are free cores (default: 1)",
+    )
     parser.add_argument(
         "--out", type=Path, help="model file (default: <piece>.safetensors in the present folder)"
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from typing import Protocol
 
 
@@ -39,6 +40,32 @@ class BenchClock:
         now_s = self.now_s()
         self._due_s = max(self._due_s + 1e-6 * step_us, now_s)
         self._never.wait(self._due_s - now_s)
+
+
+class WallWatch:
+    """Notices that the wall clock was set, or that the computer slept: the two clocks part then."""
+
+    LEAST_S = 1.0
+    SLEW = 1e-3
+    """Corrections that slow, as a share of the time, are none: every clock is kept right so."""
+
+    def __init__(
+        self,
+        wall_s: Callable[[], float] | None = None,
+        steady_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        # Asked for by name each time, so that a test may set this computer's clock.
+        self._wall_s = wall_s or (lambda: time.time())
+        self._steady_s = steady_s
+        self._seen = self._wall_s(), self._steady_s()
+
+    def jump_s(self) -> float:
+        """Return by how much the wall has run ahead since the last look; 0.0 for what is usual."""
+        wall_s, steady_s = self._wall_s(), self._steady_s()
+        gone_s = steady_s - self._seen[1]
+        ahead_s = wall_s - self._seen[0] - gone_s
+        self._seen = wall_s, steady_s
+        return ahead_s if abs(ahead_s) > self.LEAST_S + self.SLEW * gone_s else 0.0
 
 
 class HandClock:

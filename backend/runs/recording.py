@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from backend.catalogue.diskspace import NO_ROOM, room_for
-from backend.core.facts import Fact
+from backend.core.clock import WallWatch
+from backend.core.facts import Fact, Said
 from backend.core.faults import Fault, InputError
 from backend.core.hub import Hub
 from backend.devices.interlock import Interlock
@@ -18,6 +19,9 @@ from backend.runs.store import RunStore
 
 MOST_HELD = 2000
 """So many facts wait for room at most; a run pauses long before."""
+CLOCK_SET = (
+    "The clock of this computer was set by {:+.0f} s, or it slept: no measurement goes by it."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +42,7 @@ class Recorder:
         self._held: list[Fact] = []
         """Facts for which the disk has no room, in order."""
         self._lock = threading.RLock()
+        self._wall = WallWatch()
         self.store = RunStore(None, {})
         """Takes episodes; those of no run are not kept."""
         self.folder: Path | None = None
@@ -45,6 +50,7 @@ class Recorder:
     def open(self, run_id: str) -> None:
         """Begin run ``run_id``; raises ``InputError`` where there is no room, or no folder."""
         self.close()
+        self._wall = WallWatch()
         self.folder = None if self._keep.runs is None else self._keep.runs / run_id
         episodes = None
         if self.folder is not None:
@@ -91,6 +97,8 @@ class Recorder:
         with self._lock:
             if self._journal is None:
                 return
+            if jump_s := self._wall.jump_s():
+                self._held.append(Said(fact.t_s, CLOCK_SET.format(jump_s)))
             self._held.append(fact)
             self._write(mend=len(self._held) > 1)
 

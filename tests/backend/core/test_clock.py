@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from backend.core.clock import BenchClock, HandClock, MonotonicClock
+from backend.core.clock import BenchClock, HandClock, MonotonicClock, WallWatch
 
 
 @given(st.lists(st.integers(0, 10_000_000)))
@@ -49,3 +49,24 @@ def test_the_clock_of_a_real_bench_waits_and_makes_up_for_nothing():
     for _ in range(3):
         clock.wait(10_000)
     assert clock.now_s() - begun_s >= 0.03
+
+
+@pytest.mark.parametrize(
+    ("wall_s", "steady_s", "told_s"),
+    [
+        (60.0, 60.0, 0.0),
+        (-3540.0, 60.0, -3600.0),
+        (90.0, 60.0, 30.0),
+        (60.9, 60.0, 0.0),
+        # What a time server corrects in a day is no jump.
+        (86_405.0, 86_400.0, 0.0),
+    ],
+)
+def test_a_wall_clock_that_is_set_is_told_from_one_that_is_kept_right(wall_s, steady_s, told_s):
+    at = [1e9, 5.0]
+    watch = WallWatch(lambda: at[0], lambda: at[1])
+    assert watch.jump_s() == 0.0
+    at[0] += wall_s
+    at[1] += steady_s
+    assert watch.jump_s() == pytest.approx(told_s)
+    assert watch.jump_s() == 0.0

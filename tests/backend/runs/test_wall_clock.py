@@ -10,7 +10,9 @@ import pytest
 
 from backend.assembly import simulated_session
 from backend.catalogue.dataset import Dataset
-from backend.core.facts import Fact, PhaseEntered
+from backend.core.facts import Fact, PhaseEntered, Said
+from backend.runs.journal import read_journal
+from backend.runs.recording import CLOCK_SET
 from backend.runs.requests import CollectRequest
 from backend.session import Keep
 from tests.backend.brisk import brisk_bench, brisk_method
@@ -20,7 +22,8 @@ HOUR_NS = 3600 * 1_000_000_000
 
 def recorded(folder: Path, monkeypatch: pytest.MonkeyPatch, back_ns: int) -> tuple[bytes, int]:
     """Collect one probe during whose press the clock is set back; its numbers and its time."""
-    session = simulated_session(brisk_bench("quiet"), keep=Keep(None), method=brisk_method())
+    keep = Keep(folder / "runs", episodes=False)
+    session = simulated_session(brisk_bench("quiet"), keep=keep, method=brisk_method())
     clock, clock_ns = time.time, time.time_ns
 
     def set_back(fact: Fact) -> None:
@@ -29,13 +32,17 @@ def recorded(folder: Path, monkeypatch: pytest.MonkeyPatch, back_ns: int) -> tup
             monkeypatch.setattr(time, "time_ns", lambda: clock_ns() - back_ns)
 
     session.hub.subscribe(set_back)
-    with Dataset.open(folder, person="ann") as dataset:
+    with Dataset.open(folder / "dataset", person="ann") as dataset:
         session.dataset = dataset
         session.run(CollectRequest(seed=2, person="ann", count=1))
         (entry,) = dataset.episodes()
         episode = dataset.read(entry.uuid)
     session.close()
     monkeypatch.undo()
+    (run,) = (folder / "runs").iterdir()
+    told = [fact.text for fact in read_journal(run) if isinstance(fact, Said)]
+    jumps = [text for text in told if "clock of this computer" in text]
+    assert jumps == ([CLOCK_SET.format(-1e-9 * back_ns)] if back_ns else [])
     assert np.isfinite(episode.observation).all()
     return episode.observation.tobytes(), entry.recorded_ns
 

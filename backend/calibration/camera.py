@@ -8,6 +8,7 @@ on the right.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -28,6 +29,10 @@ WEAK_PX = 1.0
 EVEN_PX = 0.4
 EVEN_RAD = 0.001
 """Smaller differences between two presses do not tell fingers or turns apart."""
+SURE = 2.5
+"""So many standard errors the difference between the fingers has to be, over repeated presses."""
+LEAST_SPREAD_PX = 0.6
+"""The difference is taken to vary by this much at least: three presses say little of it."""
 AXES = {"x": "x", "y": "y", "both": "x and y"}
 Side = Literal["+x", "-x", "+y", "-y"]
 SIDES: tuple[Side, ...] = ("+x", "-x", "+y", "-y")
@@ -123,6 +128,33 @@ class Setting:
         return (Quantity("exchanged", float(self.exchanged), 0.0, ""), *mirrors)
 
 
+def leads_px(pushes: Sequence[Push]) -> FloatArray:
+    """Return (n,) by how much the second picture moved more, from each press to +y and the next to
+    -y. Gels creep between presses by as much as this may be: it is told by repeating.
+    """
+    moved = {
+        side: [
+            [abs(image_motion(push.rest_px[k], push.moved_px[k])[0][1]) for k in range(2)]
+            for push in pushes
+            if push.side == side
+        ]
+        for side in ("+y", "-y")
+    }
+    pairs = zip(moved["+y"], moved["-y"], strict=False)
+    return np.array([(there[1] - back[1]) - (there[0] - back[0]) for there, back in pairs])
+
+
+def tells_fingers(pushes: Sequence[Push]) -> bool:
+    """Whether the difference between the fingers is one, and beyond what it varies by."""
+    leads = leads_px(pushes)
+    lead_px = abs(float(leads.mean()))
+    if len(leads) < 2:
+        return lead_px >= EVEN_PX
+    spread_px = max(float(leads.std(ddof=1)), LEAST_SPREAD_PX)
+    error_px = spread_px / math.sqrt(len(leads))
+    return lead_px >= max(EVEN_PX, SURE * error_px)
+
+
 def find_setting(pushes: Sequence[Push]) -> Setting:
     """Return how the cameras sit, from one press to each side or more.
 
@@ -137,11 +169,10 @@ def find_setting(pushes: Sequence[Push]) -> Setting:
         raise RefusedError("WEAK-PUSH", "The dots hardly move: press harder, or clean the gels.")
     flipped = along_v > 0.0
     # Displaced to +y the face touches on its -y side, the side of the right finger.
-    size = {side: np.abs(moved[:, 1]) for side, moved in shift.items()}
-    lead_px = float(np.diff(size["+y"] - size["-y"])[0])
+    lead_px = float(leads_px(pushes).mean())
     # Displaced to +x the contact lifts the -x side: the left picture turns from u to v.
     turned = turn["+x"] - turn["-x"]
-    if abs(lead_px) < EVEN_PX or np.abs(turned).min() < EVEN_RAD:
+    if not tells_fingers(pushes) or np.abs(turned).min() < EVEN_RAD:
         raise RefusedError("EVEN-PUSH", "Both fingers move alike: press farther off the middle.")
     exchanged = lead_px < 0.0
     expected = np.array([-1.0, 1.0]) if exchanged else np.array([1.0, -1.0])

@@ -9,13 +9,16 @@ from backend.calibration.camera import (
     DOT_SIGMA_PX,
     SIDES,
     Push,
+    Side,
     estimate_cameras,
     find_setting,
     fit_lattice,
     image_motion,
+    tells_fingers,
 )
 from backend.calibration.kinds import MIRRORS
 from backend.core.faults import RefusedError
+from backend.runs.calibrate_pushes import MOST, next_side
 from backend.simulation.gel import build_gel
 
 SCALE, PITCH_MM = (0.058, 0.062), 1.9
@@ -115,6 +118,48 @@ def test_motion_of_a_picture_is_told_by_shift_and_turn() -> None:
     shift, turn = image_motion(rest, moved + np.array([1.5, -2.0]))
     np.testing.assert_allclose(shift, [1.5, -2.0])
     assert turn == pytest.approx(np.sin(angle))
+
+
+def crept(rng: np.random.Generator, side: Side, lead_px: float, creep_px: float) -> Push:
+    """Return a press that moves the nearer finger more by half of ``lead_px``; both gels creep."""
+    near = {"+y": np.array([-0.25, 0.25]), "-y": np.array([0.25, -0.25])}.get(side, np.zeros(2))
+    rest = GEL.rest_px[0]
+    arm = rest - rest.mean(axis=0)
+    turn = {"+x": 0.003, "-x": -0.003}.get(side, 0.0) * np.array([1.0, -1.0])
+    moved = np.zeros((2, 63, 2))
+    for k in range(2):
+        moved[k] = turn[k] * np.column_stack([-arm[:, 1], arm[:, 0]])
+        moved[k] += np.clip(creep_px * rng.standard_normal(2), -1.0, 1.0)
+        moved[k, :, 1] -= 7.0 + lead_px * near[k]
+    return Push(side, np.stack([rest, rest]), moved)
+
+
+def test_gels_that_creep_by_as_much_as_the_fingers_differ_are_pressed_until_it_is_sure() -> None:
+    rng = np.random.default_rng(8)
+    presses, wrong, even = [], 0, 0
+    for _ in range(40):
+        pushed: list[Push] = []
+        while (side := next_side(pushed)) is not None:
+            pushed.append(crept(rng, side, lead_px=1.5, creep_px=0.6))
+        presses.append(len(pushed))
+        if tells_fingers(pushed):
+            wrong += find_setting(pushed).exchanged
+        else:
+            even += 1
+    # One press to each side alone would take the fingers for each other in 4 of 100.
+    assert wrong == 0
+    assert even <= 4
+    assert min(presses) == 8
+    assert np.mean(presses) < 14
+    calm = [crept(rng, side, 1.5, 0.05) for side in (*SIDES, "+y", "-y", "+y", "-y")]
+    assert next_side(calm) is None
+    # Fingers that do not differ are never told apart, however long.
+    alike: list[Push] = []
+    while (side := next_side(alike)) is not None:
+        alike.append(crept(rng, side, 0.0, 0.3))
+    assert len(alike) == MOST
+    with pytest.raises(RefusedError, match="EVEN-PUSH"):
+        find_setting(alike)
 
 
 def test_presses_that_tell_nothing_are_refused_by_name() -> None:

@@ -15,7 +15,7 @@ from backend.core.faults import RefusedError
 from backend.devices.interlock import Limits
 from backend.devices.sim.arm import SimArm
 from backend.objects.shapes import circle, rectangle, regular, square
-from backend.runs import touching
+from backend.runs import calibrate_pushes, touching
 from backend.runs.calibrate_board import along_edges, measure_board
 from backend.runs.calibrate_payload import measure_payload, measure_wrist
 from backend.runs.calibrate_tool import measure_tool
@@ -132,8 +132,9 @@ def test_the_middle_of_an_overlap_is_its_centroid() -> None:
 
 
 @pytest.mark.slow
-def test_pressing_at_the_rim_tells_how_the_cameras_sit() -> None:
-    # A few pictures per second: every one of them is drawn and tracked.
+def test_pressing_at_the_rim_tells_how_the_cameras_sit(monkeypatch) -> None:
+    # A few pictures per second: every one of them is drawn and tracked. Each side is pressed once.
+    monkeypatch.setattr(calibrate_pushes, "ROUNDS", 1)
     settings = SimulationSettings.model_validate({"tactile": {"rate_hz": 8.0}})
     session = simulated_session(SimulatedBenchChoice(given=settings), keep=Keep(None), method=BRISK)
     session.interlock.limits = Limits(contact_speed_mm_s=4.0)

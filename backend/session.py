@@ -8,14 +8,12 @@ clock on one thread. Both give the same facts.
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -36,11 +34,11 @@ from backend.devices.interlock import Interlock, Limits
 from backend.devices.jog import Around
 from backend.devices.protocols import Device
 from backend.devices.supervision import Supervision
-from backend.objects.catalogue import Catalogue, Piece
+from backend.objects.catalogue import Catalogue
 from backend.placement.below import Below
 from backend.rig.connection import Connection
 from backend.runs.bench import Bench
-from backend.runs.calibrated import Used, as_metadata, calibrations_for, payload_of
+from backend.runs.calibrated import Used, as_metadata, calibrations_for, payload_of, surface_of
 from backend.runs.engine import Engine
 from backend.runs.gate import Decisions, Gate
 from backend.runs.hand import Hand, Reach
@@ -385,7 +383,9 @@ class Session:
         def press_n() -> float:
             return sensing.press_n(now_s(), max_age_s=0.2)
 
-        surface_mm = partial(_surface_mm, stage.piece)
+        def surface_mm() -> float:
+            return surface_of(stage.piece, stage.bottom, self._used)
+
         arm = GuardedArm(stage.arm, self.interlock, now_s, press_n, surface_mm)
         gripper = GuardedGripper(stage.gripper, self.interlock, now_s)
         around = Around(now_s, self._wall_s, press_n, surface_mm, lambda: self.engine.busy)
@@ -393,8 +393,3 @@ class Session:
         self._scene = scene = _Scene(stage, sensing, arm, gripper, hand)
         self._supervision.begin(now_s())
         return scene
-
-
-def _surface_mm(piece: Piece) -> float:
-    """Return the height of ``G`` at which the held piece touches the support; NaN if unknown."""
-    return math.nan if piece.grip_height_mm is None else piece.grip_height_mm

@@ -37,13 +37,15 @@ LATENCY_S = 0.020
 KEPT = 500
 """Wrist samples that are kept for the sensor."""
 CONTACT_MM = 0.02
+STILL_PX = 0.01
+"""A third of what the tracker errs by: a gel at rest is drawn anew once it has crept so far."""
 
 
 class JoinedScene:
     """One scene and what its devices have of it; time passes on a thread of its own."""
 
     def __init__(self, scene: Scene, settings: MelfaSettings) -> None:
-        self._scene, self.world = scene, World(scene)
+        self._scene, self.world = scene, World(scene, still_px=STILL_PX)
         self.frame = BenchFrame(settings)
         start = self.frame.joints(self.world.drive.command_mm)
         self.melfa = EmulatedMelfa(settings, start_rad=start)
@@ -138,10 +140,18 @@ class BenchFrame:
         self._origin_mm, self._tool_mm = np.array(settings.origin_mm), settings.tool_mm
         self._turn = _about_z(yaw)
         self._hand = _about_z(yaw + hand) @ np.diag([1.0, -1.0, -1.0])
+        self._last: tuple[list[float], FloatArray] = ([], np.eye(4))
+
+    def _frame(self, joints_rad: FloatArray) -> FloatArray:
+        """Return (4, 4) of the flange; that of joints which stand is not computed again."""
+        last, joints = self._last, joints_rad.tolist()
+        if joints != last[0]:
+            self._last = last = (joints, frame_of(joints_rad))
+        return last[1]
 
     def pivot_mm(self, joints_rad: FloatArray) -> FloatArray:
         """Return (3,) where ``G`` is in the bench."""
-        frame = frame_of(joints_rad)
+        frame = self._frame(joints_rad)
         at_mm = frame[:3, 3] + self._tool_mm * frame[:3, 2]
         return np.asarray(self._turn.T @ (at_mm - self._origin_mm))
 
@@ -151,7 +161,7 @@ class BenchFrame:
 
     def turn(self, joints_rad: FloatArray) -> FloatArray:
         """Return (3, 3) by how much the hand is turned; as good as unturned is unturned."""
-        hand = frame_of(joints_rad)[:3, :3]
+        hand = self._frame(joints_rad)[:3, :3]
         turn = self._turn.T @ hand @ self._hand.T @ self._turn
         return UNTURNED if np.linalg.norm(vector_of(turn)) <= LEVEL_RAD else turn
 

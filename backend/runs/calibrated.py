@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from backend.calibration.applied import refuse_other_bottom
+from backend.calibration.applied import placed_by, refuse_other_bottom
 from backend.calibration.kinds import MIRRORS, What
 from backend.calibration.record import DeviceName, Record
 from backend.calibration.store import CalibrationStore
@@ -15,6 +16,7 @@ from backend.core.facts import CalibrationMeasured
 from backend.core.faults import RefusedError
 from backend.core.flow import FINGERS, Finger, FloatArray
 from backend.devices.protocols import Device
+from backend.objects.catalogue import Piece
 from backend.runs.requests import CollectRequest, Request, StackRequest
 from backend.sensing.tare import gripper_payload
 
@@ -54,6 +56,17 @@ def calibrations_for(
     if required:
         raise RefusedError("CALIBRATION-MISSING", "This bench has no folder of calibrations.")
     return {}
+
+
+def surface_of(piece: Piece, bottom: str, used: Used) -> float:
+    """Return the height of ``G`` at which the held piece touches ``bottom``; NaN if unknown.
+
+    As the board was felt with this piece on this bottom; else by the nominal height of the grip.
+    """
+    board = placed_by(used).board
+    if board is not None and board.is_of(piece.name, bottom):
+        return board.contact_mm
+    return math.nan if piece.grip_height_mm is None else piece.grip_height_mm
 
 
 def payload_of(store: CalibrationStore | None, devices: Mapping[str, Device]) -> FloatArray | None:

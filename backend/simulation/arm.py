@@ -141,15 +141,20 @@ class Press:
     """Down at constant speed until contact is declared, then the ramp from the back-dated onset.
 
     The command never rises: what the descent overshot before contact was declared is kept until
-    the ramp passes it.
+    the ramp passes it. ``air`` (n,), (n,): times and forces heard just before, so that a contact
+    soon after the start is known from the air, too.
     """
 
     failure: Fault | None = None
     turn: FloatArray | None = None
 
-    def __init__(self, law: PressLaw, start_z_mm: float, start_s: float) -> None:
+    def __init__(
+        self, law: PressLaw, start_z_mm: float, start_s: float, air: tuple[FloatArray, FloatArray]
+    ) -> None:
         self._law, self._start_z_mm = law, start_z_mm
         self._detector = OnsetDetector(OnsetRule(threshold_n=law.threshold_n))
+        if len(air[0]):
+            self._detector.feed(*air)
         self._way: list[tuple[float, float]] = [(start_s, start_z_mm)]
         self._zero_mm: float | None = None
         self.done = False

@@ -31,12 +31,15 @@ Float32 = NDArray[np.float32]
 class Dots:
     """The 63 dots of one gel; ``rng`` gives each its darkness and its flecks.
 
+    Dots that have moved by ``still_px`` or less since they were drawn are not drawn again.
+
     ``mask``: (240, 320) of the last ``draw``, 0 = no paint. Buffers are kept: fresh large arrays
     in every frame cost more than the arithmetic on them.
     """
 
-    def __init__(self, look: GelLook, rng: np.random.Generator) -> None:
-        self._look = look
+    def __init__(self, look: GelLook, rng: np.random.Generator, still_px: float = 0.0) -> None:
+        self._look, self._still_px = look, still_px
+        self._drawn_px = np.full((MARKERS, 2), np.inf)
         self._slopes = _slopes(look.rest_px)
         contrast = 1.0 - np.abs(_CONTRAST_SPREAD * rng.standard_normal(MARKERS))
         self._contrast = contrast.astype(np.float32)[:, None, None]
@@ -57,6 +60,9 @@ class Dots:
 
     def draw(self, displacement_px: FloatArray) -> None:
         """Draw the dots at rest + ``displacement_px`` (63, 2) into ``mask``."""
+        if self._still_px and np.abs(displacement_px - self._drawn_px).max() <= self._still_px:
+            return
+        self._drawn_px = displacement_px.copy()
         centre_px = self._look.rest_px + displacement_px
         corner = np.floor(centre_px).astype(np.intp) - _REACH_PX + 1
         steps = np.arange(_SIZE_PX, dtype=np.float32)

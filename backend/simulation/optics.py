@@ -31,16 +31,19 @@ Smear = tuple[slice, slice, Float32]
 
 
 class FingerOptics:
-    """One finger's camera. Same seed, same calls: the same bytes."""
+    """One finger's camera. Same seed, same calls: the same bytes.
 
-    def __init__(self, look: GelLook, seed: int) -> None:
+    ``still_px``: so little may the dots have moved unseen.
+    """
+
+    def __init__(self, look: GelLook, seed: int, still_px: float = 0.0) -> None:
         self.look = look
         fixed = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 1])))
         self._draws = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 2])))
         self._back = _grain(look, fixed)
         self._back += _background(look.background.tobytes(), look.background.shape)
         self._to_core = look.core.astype(np.float32)[:, None, None] - self._back
-        self._dots = Dots(look, fixed)
+        self._dots = Dots(look, fixed, still_px)
         self._bank = _noise_bank(json.dumps(fixed.bit_generator.state), look.noise)
         margin = 2 * _FRINGE_PX
         shadow = np.zeros((HEIGHT_PX + margin, WIDTH_PX + margin), dtype=np.float32)

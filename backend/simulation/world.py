@@ -7,6 +7,7 @@ which they came: the same scene and commands give the same bytes however time is
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
@@ -32,11 +33,13 @@ from backend.simulation.wrist import Strain, Wrist
 CLEARANCE_MM = 20.0
 """Open jaws at the start are wider than the piece by this much."""
 DRAG_MM = 1.0
+"""Dragging a pressed piece sideways by more than this knocks a free support over."""
 DRAG_N = 0.5
 JIG_MM = 1.0
 """Let go within this distance of the jig's place the piece is back in the jig."""
-"""Dragging a pressed piece sideways by more than this knocks a free support over."""
 _TARE_CYCLES = 20
+_AIR_US = 400_000
+"""What is remembered of the air: as much as a contact is measured against, none of it judged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +54,14 @@ class Sensed:
 
 
 class World:
-    """Steps the scene. Commands come between steps; ``drive`` and ``jaws`` halt at any time."""
+    """Steps the scene. Commands come between steps; ``drive`` and ``jaws`` halt at any time.
 
-    def __init__(self, scene: Scene, script: Script | None = None) -> None:
+    ``still_px``: dots that moved no more than this look as they did, which costs less.
+    """
+
+    def __init__(
+        self, scene: Scene, script: Script | None = None, *, still_px: float = 0.0
+    ) -> None:
         self.scene, self._script = scene, script or Script()
         settings = scene.settings
         self.cycle_us = settings.cycle_us
@@ -67,13 +75,14 @@ class World:
         )
         seeds = np.random.SeedSequence([scene.seed, 7, scene.mounting]).generate_state(3)
         self._wrist = Wrist(settings.wrist, self.cycle_us, int(seeds[2]))
-        self._cameras = _cameras(scene, seeds.tolist())
+        self._cameras = _cameras(scene, seeds.tolist(), still_px)
         self._holding: Holding | None = None
         self._bottoms = scene.bottoms
         self._grips = 0
         self._rest = np.zeros(VALUES)
         self._values = self._rest
         self._heard: tuple[FloatArray, FloatArray] = (np.empty(0), np.empty(0))
+        self._air = deque([self._heard], _AIR_US // self.cycle_us)
         self._recent_n: list[float] = []
         self._tare_n = 0.0
         self._put_down: tuple[tuple[float, float], float] | None = None
@@ -97,8 +106,12 @@ class World:
         """Begin a press; a new probe starts and its nuisances are drawn."""
         if self._holding is not None:
             self._holding.begin_probe(ProbeSettings(stiffness_n_mm=stiffness_n_mm))
+        air_s, air_n = (np.concatenate(part) for part in zip(*self._air, strict=True))
         self._tare_n = float(np.mean(self._recent_n)) if self._recent_n else 0.0
-        program = Press(law, float(self.drive.command_mm[2]), self.now_us * 1e-6)
+        start_s = self.now_us * 1e-6
+        # The offset was drawn anew just now: the air of before as this one would have told it.
+        air = air_s, air_n + self._sensor_offset()[2]
+        program = Press(law, float(self.drive.command_mm[2]), start_s, air)
         self.drive.run(program)
         return program
 
@@ -114,6 +127,7 @@ class World:
         mean_n = float(force_n.mean()) if len(force_n) else math.nan
         # A mean is finite exactly if all samples are.
         if math.isfinite(mean_n):
+            self._air.append((t_s, force_n - self._sensor_offset()[2]))
             self._recent_n = [*self._recent_n, mean_n][-_TARE_CYCLES:]
 
     # -- time -------------------------------------------------------------------------------------
@@ -284,11 +298,13 @@ class World:
 
 
 def _cameras(
-    scene: Scene, seeds: np.ndarray[tuple[int, ...], np.dtype[np.uint32]]
+    scene: Scene, seeds: np.ndarray[tuple[int, ...], np.dtype[np.uint32]], still_px: float
 ) -> dict[Finger, FingerCamera]:
     look = load_look()
     looks = {"left": look, "right": mirrored(look)}
     return {
-        finger: FingerCamera(scene.settings.tactile, FingerOptics(looks[finger], seed), seed)
+        finger: FingerCamera(
+            scene.settings.tactile, FingerOptics(looks[finger], seed, still_px), seed
+        )
         for finger, seed in zip(FINGERS, seeds, strict=False)
     }

@@ -14,11 +14,12 @@ from backend.calibration.store import CalibrationStore
 from backend.core.flow import Pose
 from backend.runs import touching
 from backend.runs.calibrate_board import measure_board
+from backend.runs.calibrated import surface_of
 from backend.runs.descents import place_over
 from backend.runs.jig import approach, pick, put_back
 from backend.runs.requests import CalibrateRequest
 from backend.runs.touching import BELOW_MM, touched_mm
-from tests.backend.runs.blind_bench import BRISK, BlindBench
+from tests.backend.runs.blind_bench import BlindBench
 from tests.backend.runs.skewed_arm import SkewedArm
 
 OFF_MM = np.array([0.45, -0.4, -0.6])
@@ -53,15 +54,13 @@ def test_a_wrong_prior_is_put_right_by_the_board(tmp_path, monkeypatch):
     assert blind.bench.jig is not None
     jig_mm = [blind.bench.jig.x_mm, blind.bench.jig.y_mm, blind.bench.jig.z_mm]
     jig = Pose(*skewed[0].believed(np.array(jig_mm)).tolist())
-    # A descent of less than 0.4 s has no air in front of its contact: heights would be off.
-    probe = BRISK.probe.model_copy(update={"start_height_mm": 2.0})
-    settings = BRISK.model_copy(update={"probe": probe})
-    blind.bench = replace(blind.bench, jig=jig, settings=settings)
+    blind.bench = replace(blind.bench, jig=jig)
     found = blind.run(lambda bench: measure_board(bench, request))
     assert found.acceptable
     store = CalibrationStore(tmp_path, "simulated")
     store.accept(found.told(0.0, "board", ABOUT), {})
-    placed = placed_by(store.in_use({}, required=False))
+    used = store.in_use({}, required=False)
+    placed = placed_by(used)
     misses: dict[str, tuple[float, float]] = {}
     for name, known in (("calibrated", placed), ("not", NOWHERE)):
         bench = replace(blind.bench, placed=known)
@@ -76,6 +75,11 @@ def test_a_wrong_prior_is_put_right_by_the_board(tmp_path, monkeypatch):
     assert placed.origin((0.0, 0.0), 0.2, "short") == NOWHERE.origin((0.0, 0.0), 0.2, "short")
     assert placed.board is not None
     assert not placed.board.is_of("barrel", "square15")
+    # The guard of the arm goes by the height that was felt, of this piece on this bottom alone.
+    pot = blind.bench.piece
+    assert surface_of(pot, "square15", used) == found.value("z_mm")
+    assert surface_of(pot, "short", used) == surface_of(pot, "square15", {}) == pot.grip_height_mm
+    assert abs(found.value("z_mm") - pot.grip_height_mm) > 0.3
 
 
 def test_the_hand_stands_off_a_known_bottom_by_the_face(tmp_path):

@@ -65,7 +65,9 @@ def test_a_stalled_arm_stands_still_and_goes_on_afterwards():
 def pressed(stiffness_n_mm, start_mm=3.0, noise=0.0, offset=14.7):
     """Press onto a spring whose surface is z = 0; returns the program, times and heights."""
     rng = np.random.default_rng(1)
-    drive, press = ArmDrive(np.array([0.0, 0.0, start_mm])), Press(LAW, start_mm, 0.0)
+    air_s = np.arange(-450, 1) * 1e-3
+    air = air_s, offset + noise * rng.standard_normal(len(air_s))
+    drive, press = ArmDrive(np.array([0.0, 0.0, start_mm])), Press(LAW, start_mm, 0.0, air)
     drive.run(press)
     ends, heights = [0.0], [start_mm]
 
@@ -88,6 +90,16 @@ def test_onset_is_back_dated_to_the_touch(stiffness):
     press, _, _ = pressed(stiffness, noise=0.1)
     assert press.onset_s == pytest.approx(1.5, abs=0.05)
     assert press.detected_s - press.onset_s == pytest.approx(1.0 / (2.0 * stiffness), abs=0.04)
+
+
+@pytest.mark.parametrize("start_mm", [0.1, 0.3, 0.7])
+@pytest.mark.parametrize("stiffness", [5.2, 12.0])
+def test_a_contact_soon_after_the_start_is_told_from_the_air_before_it(stiffness, start_mm):
+    press, _, z_mm = pressed(stiffness, start_mm, noise=0.1)
+    touched_s = start_mm / 2.0
+    assert press.onset_s == pytest.approx(touched_s, abs=0.05)
+    assert press.detected_s - touched_s == pytest.approx(1.0 / (2.0 * stiffness), abs=0.05)
+    assert z_mm[-1] == pytest.approx(-1.5, abs=0.1)
 
 
 def test_command_follows_the_law_and_never_rises():
@@ -115,7 +127,10 @@ def test_what_the_descent_overshot_is_kept():
 
 @pytest.mark.parametrize("force", [None, lambda t: np.full(len(t), np.nan)])
 def test_without_a_sensor_the_press_ends_after_its_travel(force):
-    drive, press = ArmDrive(np.array([0.0, 0.0, 40.0])), Press(LAW, 40.0, 0.0)
+    drive, press = (
+        ArmDrive(np.array([0.0, 0.0, 40.0])),
+        Press(LAW, 40.0, 0.0, (np.empty(0), np.empty(0))),
+    )
     drive.run(press)
     for k in range(700):
         drive.step(cycle(k, force), stalled=False)

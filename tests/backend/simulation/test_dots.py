@@ -59,3 +59,14 @@ def test_nothing_is_left_of_the_frame_before(dots):
     first = drawn(dots, STILL)
     assert drawn(dots, STILL + 1e4).max() == 0.0
     assert np.array_equal(drawn(dots, STILL), first)
+
+
+def test_dots_that_hardly_moved_look_as_they_did_and_creep_adds_up():
+    exact, still = (
+        Dots(load_look(), np.random.default_rng(4), still_px) for still_px in (0.0, 0.01)
+    )
+    first = drawn(still, STILL)
+    assert (first == drawn(exact, STILL)).all()
+    for creep_px in (0.004, 0.008):
+        assert (drawn(still, STILL + creep_px) == first).all()
+    assert (drawn(still, STILL + 0.012) == drawn(exact, STILL + 0.012)).all()

@@ -69,14 +69,22 @@ class BeliefView(QWidget):
         painter = QPainter(self)
         painter.drawPixmap(0, 0, self._drawn)
 
+    def side_px(self, size: QSize) -> float:
+        """Return the side of the square that is drawn in a view of this size."""
+        left, top, right, bottom = self._margins()
+        return max(min(size.width() - left - right, size.height() - top - bottom), 10.0)
+
+    def _margins(self) -> tuple[float, float, float, float]:
+        """Return the room of axes and colour bar: left, top, right, bottom."""
+        if self._thumbnail:
+            return 1.0, 1.0, 1.0, 1.0
+        em = self.fontMetrics().height()
+        return 2.2 * em, 0.4 * em, 3.4 * em, 1.5 * em
+
     def area(self) -> PlotArea:
         """Return the square in which the map is drawn."""
-        if self._thumbnail:
-            left = top = right = bottom = 1.0
-        else:
-            em = self.fontMetrics().height()
-            left, top, right, bottom = 2.2 * em, 0.4 * em, 3.4 * em, 1.5 * em
-        side = max(min(self.width() - left - right, self.height() - top - bottom), 10.0)
+        left, top, right, bottom = self._margins()
+        side = self.side_px(self.size())
         x = left + (self.width() - left - right - side) / 2
         y = top + (self.height() - top - bottom - side) / 2
         cx, cy, half = self.scene.frame_mm()

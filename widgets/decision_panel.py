@@ -113,6 +113,13 @@ class DecisionPanel(QFrame):
         margin = f"{text.caption} {text.margin}. " if text.margin else ""
         self.setAccessibleDescription(f"{text.verdict}. {margin}{text.text}")
 
+    def keep_room(self, asks: bool) -> None:
+        """Keep the place of the question where one will come: the views below stay put."""
+        policy = self._asking.sizePolicy()
+        if policy.retainSizeWhenHidden() != asks:
+            policy.setRetainSizeWhenHidden(asks)
+            self._asking.setSizePolicy(policy)
+
     def show_question(self, text: str, button: str = "Approve  A") -> None:
         """Ask for approval; the empty text withdraws the question."""
         self._ask_text.setText(text)

@@ -7,17 +7,19 @@ from collections.abc import Callable
 
 from PySide6.QtCore import QRectF, QSize, Qt
 from PySide6.QtGui import QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
-from PySide6.QtWidgets import QHBoxLayout, QScrollArea, QSizePolicy, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QBoxLayout, QScrollArea, QSizePolicy, QVBoxLayout, QWidget
 
 from backend.core.flow import Stability
 from widgets.belief_scene import BeliefScene
 from widgets.belief_view import BeliefView, describe
+from widgets.colour_maps import MapName
 from widgets.decision_panel import signed_mm
 from widgets.overlay import draw_message
 from widgets.panel import label
 from widgets.theme import Theme
 
 SIDE_PX = 62
+NO_PROBES = ("No probes yet", "Each press adds a small map; click one to look back.")
 
 
 class Thumbnail(QWidget):
@@ -35,7 +37,7 @@ class Thumbnail(QWidget):
         column = QVBoxLayout(self)
         column.setContentsMargins(4, 4, 4, 2)
         column.setSpacing(1)
-        column.addWidget(self.view)
+        column.addWidget(self.view, 0, Qt.AlignmentFlag.AlignHCenter)
         column.addWidget(self.caption, 0, Qt.AlignmentFlag.AlignHCenter)
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.setCursor(Qt.CursorShape.PointingHandCursor)
@@ -74,15 +76,17 @@ class Thumbnail(QWidget):
 
 
 class ProbeStrip(QWidget):
-    """A row of thumbnails, scrolled to the newest."""
+    """A row of thumbnails, or a column while upright, scrolled to the newest."""
 
     def __init__(self, theme: Theme, on_choose: Callable[[int], None]) -> None:
         super().__init__()
         self._theme, self._on_choose = theme, on_choose
         self.thumbnails: list[Thumbnail] = []
-        self._lines = 1
+        self._lines, self.upright = 1, False
+        self._map: MapName = "cividis"
+        self._empty = NO_PROBES
         self._inner = QWidget()
-        self._row = QHBoxLayout(self._inner)
+        self._row = QBoxLayout(QBoxLayout.Direction.LeftToRight, self._inner)
         self._row.setContentsMargins(0, 0, 0, 0)
         self._row.setSpacing(4)
         self._row.addStretch(1)
@@ -98,16 +102,48 @@ class ProbeStrip(QWidget):
         self.setAccessibleName("Probes of this trial")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
 
+    def row_px(self) -> int:
+        """Return the height of a row and its scroll bar."""
+        return SIDE_PX + self._lines * self.fontMetrics().height() + 20
+
+    def column_px(self) -> int:
+        """Return the width of a column and its scroll bar: the longest usual caption."""
+        return self.fontMetrics().horizontalAdvance("10: est. +10.0 mm") + 16
+
     def sizeHint(self) -> QSize:
-        """Return room for one row and its scroll bar."""
-        return QSize(300, SIDE_PX + self._lines * self.fontMetrics().height() + 20)
+        """Return room for one row or column and its scroll bar."""
+        return QSize(self.column_px(), 300) if self.upright else QSize(300, self.row_px())
 
     def minimumSizeHint(self) -> QSize:
-        """Return a low width: the strip scrolls."""
-        return QSize(120, self.sizeHint().height())
+        """Return little along the thumbnails: the strip scrolls."""
+        return QSize(self.column_px(), 120) if self.upright else QSize(120, self.row_px())
 
-    def show_probes(self, probes: list[tuple[BeliefScene, str]], chosen: int) -> None:
-        """Show these probes and mark one."""
+    def show_upright(self, upright: bool) -> None:
+        """Stand the thumbnails below each other, or in a row."""
+        self.upright = upright
+        direction, policy = QBoxLayout.Direction, QSizePolicy.Policy
+        self._row.setDirection(direction.TopToBottom if upright else direction.LeftToRight)
+        along, across = policy.Expanding, policy.Fixed
+        self.setSizePolicy(*((across, along) if upright else (along, across)))
+        off, needed = Qt.ScrollBarPolicy.ScrollBarAlwaysOff, Qt.ScrollBarPolicy.ScrollBarAsNeeded
+        self._scroll.setVerticalScrollBarPolicy(needed if upright else off)
+        self._scroll.setHorizontalScrollBarPolicy(off if upright else needed)
+        self.updateGeometry()
+
+    def show_map(self, name: MapName) -> None:
+        """Choose the colour map of all thumbnails."""
+        self._map = name
+        for thumbnail in self.thumbnails:
+            thumbnail.view.show_map(name)
+
+    def show_probes(
+        self,
+        probes: list[tuple[BeliefScene, str]],
+        chosen: int,
+        empty: tuple[str, str] = NO_PROBES,
+    ) -> None:
+        """Show these probes and mark one; without any, say ``empty``: what is so, and why."""
+        self._empty = empty
         while len(self.thumbnails) > len(probes):
             gone = self.thumbnails.pop()
             self._row.removeWidget(gone)
@@ -115,6 +151,7 @@ class ProbeStrip(QWidget):
             gone.deleteLater()
         while len(self.thumbnails) < len(probes):
             fresh = Thumbnail(self._theme, len(self.thumbnails), self._on_choose)
+            fresh.view.show_map(self._map)
             self.thumbnails.append(fresh)
             self._row.insertWidget(len(self.thumbnails) - 1, fresh)
         for thumbnail, (scene, caption) in zip(self.thumbnails, probes, strict=True):
@@ -126,7 +163,8 @@ class ProbeStrip(QWidget):
             self._lines = lines
             self.updateGeometry()
         self._scroll.setVisible(bool(probes))
-        bar = self._scroll.horizontalScrollBar()
+        scroll = self._scroll
+        bar = scroll.verticalScrollBar() if self.upright else scroll.horizontalScrollBar()
         if chosen == len(probes) - 1:
             bar.setValue(bar.maximum())
 
@@ -138,8 +176,7 @@ class ProbeStrip(QWidget):
     def paintEvent(self, _event: QPaintEvent) -> None:
         """Say that there is no probe yet."""
         if not self.thumbnails:
-            draw_message(QPainter(self), self.rect(), self._theme, "No probes yet",
-                         "Each press adds a small map; click one to look back.")  # fmt: skip
+            draw_message(QPainter(self), self.rect(), self._theme, *self._empty)
 
 
 def caption_of(probe: int, stability: Stability | None) -> str:

@@ -22,7 +22,8 @@ from widgets.belief_view import BeliefView
 from widgets.decision_panel import DecisionPanel
 from widgets.elided import ElidedLabel
 from widgets.film import Film
-from widgets.panel import Panel, label, rule
+from widgets.map_and_strip import MapAndStrip
+from widgets.panel import Panel, label
 from widgets.probe_strip import ProbeStrip
 from widgets.recorded_traces import RecordedTraces
 from widgets.recording_list import RecordingList
@@ -91,7 +92,6 @@ class ReviewPage(QWidget):
         self.refresh, self.experiments = QToolButton(), QToolButton()
         self.empty = label("", "muted", wrap=True)
         self.belief, self.legend = BeliefView(theme), BeliefLegend(theme)
-        # At the least size of the window the strip below has two lines to a map.
         self.belief.setMinimumHeight(170)
         self.story.setMinimumHeight(STORY_PX)
         self.decision = DecisionPanel(_nothing, _nothing)
@@ -199,9 +199,8 @@ class ReviewPage(QWidget):
         row.addWidget(self.shown, 17)
 
     def _belief_panel(self) -> Panel:
-        self.belief_panel = Panel("Belief map", self.belief)
-        for widget in (self.legend, self.estimate, rule(), self.strip):
-            self.belief_panel.column.addWidget(widget)
+        self.belief_panel = Panel("Belief map", MapAndStrip(self.belief, self.legend, self.strip))
+        self.belief_panel.column.addWidget(self.estimate)
         return self.belief_panel
 
     def _signals_panel(self) -> Panel:

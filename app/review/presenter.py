@@ -58,7 +58,7 @@ class ReviewPresenter:
         """How far a long reading was when it was last shown."""
         page.refresh.clicked.connect(self.recordings.refresh)
         page.trials.currentRowChanged.connect(self._choose_part)
-        page.decision.show_text(DecisionText("No run chosen", "", "", "Choose a recording."))
+        self.replay.show(None)
 
     # -- the list ---------------------------------------------------------------------------------
 

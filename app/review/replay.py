@@ -9,18 +9,21 @@ import numpy as np
 from app.review.page import ReviewPage
 from app.review.recorded import Recorded
 from app.review.timed import PatchScore, TimedTrial
-from app.run_story import TrialStory, scene_of, truth_of
+from app.run_story import TrialStory, no_probe, scene_of, truth_of
 from backend.core.facts import Said, TrialFinished
 from backend.core.flow import FloatArray
 from backend.objects.shapes import Outline
 from widgets.belief_scene import BeliefScene
 from widgets.decision_panel import DecisionText, decide_in_words
 from widgets.film import latest
-from widgets.probe_strip import caption_of
+from widgets.probe_strip import NO_PROBES, caption_of
 from widgets.score_panel import WORDS
 from widgets.time_line import TimeScene
 
 SEGMENTS = 96
+NO_RECORDING = DecisionText("No run chosen", "", "", "Choose a recording.")
+NO_READING = DecisionText("No estimate", "", "", "No model has read a probe here.")
+NO_MAP = ("No belief map", "No model has read a probe here.")
 
 
 class Replay:
@@ -121,7 +124,8 @@ class Replay:
     def _show_strip(self) -> None:
         whole, self._known = self._whole, -1
         if whole is None or not whole.probes:
-            self._page.strip.show_probes([], -1)
+            ended = whole is not None and whole.finished is not None
+            self._page.strip.show_probes([], -1, NO_PROBES if ended else ("", ""))
             return
         scenes = [self._scene(whole, i) for i in range(len(whole.probes))]
         captions = [caption_of(p.probe, p.stability) + self._iou(p.probe) for p in whole.probes]
@@ -153,11 +157,7 @@ class Replay:
         self._known = known
         story = None if trial is None else trial.story(self.cursor_s)
         if story is None or not story.probes:
-            page.belief.show_scene(BeliefScene())
-            page.belief_panel.detail.setText("")
-            page.estimate.setText("")
-            page.strip.mark(-1)
-            page.decision.show_text(DecisionText("No probe", "", "", _ending(story)))
+            self._show_no_probe(story)
             return
         index = len(story.probes) - 1
         scene, look = self._scene(story, index), story.probes[index]
@@ -168,6 +168,22 @@ class Replay:
         page.belief_panel.detail.setText(f"probe {look.probe} of {count}")
         page.estimate.setText(score_words(self.score()))
         page.strip.mark(index)
+
+    def _show_no_probe(self, story: TrialStory | None) -> None:
+        """Say why there is no map at the cursor: none yet, none ever, or nothing chosen."""
+        page, whole = self._page, self._whole
+        if whole is None:
+            scene, text = BeliefScene(empty=("No belief map", "")), NO_RECORDING
+        elif whole.probes or whole.finished is not None:
+            scene = BeliefScene() if whole.probes else no_probe(whole)
+            text = DecisionText("No probe", "", "", _ending(story))
+        else:
+            scene, text = BeliefScene(empty=NO_MAP), NO_READING
+        page.belief.show_scene(scene)
+        page.belief_panel.detail.setText("")
+        page.estimate.setText("")
+        page.strip.mark(-1)
+        page.decision.show_text(text)
 
 
 def _line(fact: object) -> str:

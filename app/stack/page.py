@@ -14,7 +14,7 @@ from widgets.belief_panel import BeliefPanel
 from widgets.columns import Columns
 from widgets.decision_panel import DecisionPanel, DecisionText
 from widgets.header_tools import tool
-from widgets.panel import Panel, rule
+from widgets.panel import Panel
 from widgets.probe_strip import ProbeStrip
 from widgets.run_panel import RunPanel
 from widgets.score_panel import ScorePanel
@@ -54,10 +54,7 @@ class StackPage(LivePage):
         self.decision = DecisionPanel(intents.approve, intents.decline)
         self.trial = TrialPanel(theme, intents.trial)
         self.strip = ProbeStrip(theme, intents.choose)
-        thumbnails = [thumbnail.view for thumbnail in self.strip.thumbnails]
-        self.belief_panel = BeliefPanel(theme, "Belief map", thumbnails)
-        self.belief_panel.column.addWidget(rule())
-        self.belief_panel.column.addWidget(self.strip)
+        self.belief_panel = BeliefPanel(theme, "Belief map", self.strip)
         self.belief, self.legend = self.belief_panel.view, self.belief_panel.legend
         self.run = RunPanel(theme, intents.start, intents.pause, intents.cancel)
         self.score = ScorePanel(theme)

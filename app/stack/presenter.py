@@ -139,6 +139,7 @@ class StackPresenter:
 
     def _draw_question(self, status: RunStatus) -> None:
         asking, button = "", "Approve  A"
+        self._page.decision.keep_room(self._page.run.form().mode != "auto")
         if status.awaiting is not None:
             kind = status.awaiting.kind
             asking = {"release": "Release here?", "shift": "Take this step?"}.get(kind, "Go on?")

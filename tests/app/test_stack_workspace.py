@@ -206,9 +206,12 @@ def test_approval_is_asked_and_given_by_key(live, bench, key, mode):
     told(live, bench)
     QTest.keyClick(live.window, key)
     assert bench.answers == []  # nothing waits: nothing is approved in advance
+    settle(live)
+    stood = live.workspaces["stack"].page.belief_panel.geometry()
     bench.set_state(RunState.RUNNING, awaiting=action((4.4, 1.9), -1.1))
     settle(live)
     assert live.workspaces["stack"].page.decision.approve.isVisible()
+    assert live.workspaces["stack"].page.belief_panel.geometry() == stood
     assert live.bar.pill.state.word == "YOUR TURN"
     QTest.keyClick(live.window, key)
     assert bench.answers == [True]

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QImage, QPainter
+from PySide6.QtWidgets import QApplication
 
 from backend.core.flow import MarkerField, Outcome, Stability, SupportKind, TactileFrame
 from tests.app.stand_in import REST, action, belief, stability
+from widgets.belief_panel import BeliefPanel
 from widgets.belief_scene import BeliefScene
 from widgets.belief_view import BeliefView, describe
 from widgets.decision_panel import DecisionPanel, decide_in_words, signed_mm
@@ -276,6 +278,38 @@ def test_score_of_none_one_and_1000(qtbot, theme, trials):
     outcomes = tuple(list(Outcome)[k % 5] for k in range(trials))
     panel.show_score(Score(outcomes, trials, (0.1, 0.9) if trials else None))
     assert pixels(panel).std() > 5
+
+
+def map_with_strip(qtbot, theme, size):
+    strip = ProbeStrip(theme, lambda _: None)
+    panel = BeliefPanel(theme, "Belief map", strip)
+    strip.show_probes([(scene(), f"{k}: est. +1.0 mm") for k in range(3)], 2)
+    qtbot.addWidget(panel)
+    panel.resize(*size)
+    panel.show()
+    QApplication.processEvents()
+    return panel, strip
+
+
+def test_the_small_maps_go_where_they_leave_the_map_more(qtbot, theme):
+    high, below = map_with_strip(qtbot, theme, (420, 600))
+    wide, beside = map_with_strip(qtbot, theme, (520, 420))
+    assert (below.upright, beside.upright) == (False, True)
+    assert below.y() >= high.view.geometry().bottom()
+    assert beside.x() >= wide.view.geometry().right()
+    assert high.view.area().rect.width() > 270
+    assert wide.view.area().rect.width() > 270
+    wide.resize(420, 600)
+    QApplication.processEvents()
+    assert wide.view.area().rect == high.view.area().rect, "it depends on the room alone"
+
+
+def test_small_maps_have_the_chosen_colours_those_to_come_as_well(qtbot, theme):
+    panel, strip = map_with_strip(qtbot, theme, (420, 600))
+    panel.maps.setCurrentIndex(1)
+    strip.show_probes([(scene(), str(k)) for k in range(4)], 3)
+    names = {panel.view.map_name, *(small.view.map_name for small in strip.thumbnails)}
+    assert names == {"viridis"}
 
 
 @pytest.mark.parametrize("count", [0, 1, 30])

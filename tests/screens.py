@@ -188,10 +188,6 @@ class Stage:
             page.looks.setCurrentIndex(look)
             yield f"operate-contact-look-{look}"
         page.looks.setCurrentIndex(0)
-        page.jog.show_armed(True)
-        page.jog.pace.steps[2].setChecked(True)
-        yield "operate-keys-armed"
-        page.jog.show_armed(False)
         self.bench._now_us += 1_200_000
         yield "operate-stale"
         self.live(1.0)
@@ -301,14 +297,12 @@ class Stage:
 
     def _large_text(self) -> Iterator[str]:
         main = self.main
-        main.look.show(main.look.choice, 2.0)
-        for page in main.workspaces:
-            main.go(page)
-            self.live(1.0)
-            yield f"text-200-{page}"
-        main.look.show(main.look.choice, 0.8)
-        main.go("operate")
-        yield "text-80-operate"
+        for percent in (200, 80):
+            main.look.show(main.look.choice, percent / 100)
+            for page in main.workspaces:
+                main.go(page)
+                self.live(1.0)
+                yield f"text-{percent}-{page}"
         main.look.show(main.look.choice, 1.0)
 
     def live(self, press: float) -> None:

@@ -118,7 +118,8 @@ class TracePlot(QWidget):
         self._draw_traces(painter, area)
         self._draw_end_labels(painter, area)
         if self._age in (Age.STALE, Age.GONE):
-            draw_stale(painter, area.rect, self._theme, self._age_s)
+            panel = self._theme.tokens.colour("panel")
+            draw_stale(painter, area.rect, self._theme, self._age_s, panel)
 
     def _draw_traces(self, painter: QPainter, area: PlotArea) -> None:
         lines = _polylines(area, *thinned(*self.buckets.ordered(), int(area.rect.width())))

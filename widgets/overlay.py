@@ -32,9 +32,13 @@ def draw_message(
             top += high + LINE_GAP_PX
 
 
-def draw_stale(painter: QPainter, rect: QRectF, theme: Theme, age_s: float) -> None:
-    """Dim ``rect`` to half and date it."""
-    painter.fillRect(rect, QColor(0, 0, 0, 128))
+def draw_stale(
+    painter: QPainter, rect: QRectF, theme: Theme, age_s: float, into: QColor | None = None
+) -> None:
+    """Fade ``rect`` to half of ``into``, a picture to black, and date it."""
+    veil = QColor(0, 0, 0) if into is None else QColor(into)
+    veil.setAlpha(128)
+    painter.fillRect(rect, veil)
     painter.setFont(ui_font(theme.scale, 1.0, 600))
     text = f"STALE {age_s:.1f} s"
     metrics = painter.fontMetrics()

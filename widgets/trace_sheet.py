@@ -128,8 +128,10 @@ class TraceSheet:
     def _draw_scale(self, painter: QPainter, area: PlotArea, unit: str, *, right: bool) -> None:
         t, rect = self.paper.tokens, area.rect
         height = painter.fontMetrics().height()
-        step = nice_step(area.y1 - area.y0, 4)
-        for value in ticks(area.y0, area.y1, 4):
+        # No more numbers than there is room for: low plots name two or three.
+        count = min(max(int(rect.height() / (1.4 * height)), 1), 4)
+        step = nice_step(area.y1 - area.y0, count)
+        for value in ticks(area.y0, area.y1, count):
             y = area.y(value)
             if not right:
                 painter.setPen(QPen(t.colour("border" if value == 0 else "grid"), 1))

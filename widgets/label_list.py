@@ -6,14 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from PySide6.QtCore import QAbstractListModel, QModelIndex, QPersistentModelIndex, QRectF, QSize, Qt
-from PySide6.QtGui import QColor, QFontMetrics, QKeyEvent, QPainter, QPen
-from PySide6.QtWidgets import QListView, QStyle, QStyledItemDelegate, QStyleOptionViewItem, QWidget
+from PySide6.QtCore import QAbstractListModel, QModelIndex, QRectF, QSize, Qt
+from PySide6.QtGui import QFontMetrics, QPainter, QPen
+from PySide6.QtWidgets import QStyleOptionViewItem, QWidget
 
+from widgets.rows import ROOT, Index, RowList, RowPainter, draw_line
 from widgets.theme import Theme, ui_font
 
-Index = QModelIndex | QPersistentModelIndex
-ROOT = QModelIndex()
 CHIPS: dict[str, tuple[str, str]] = {
     "unlabelled": ("pill_grey", "on_dark"),
     "draft": ("pill_yellow", "on_light"),
@@ -36,18 +35,13 @@ class LabelRow:
     badges: tuple[str, ...] = ()
 
 
-class LabelList(QListView):
+class LabelList(RowList):
     """Shows thousands of rows without a widget each; ``chosen`` is told the row that was picked."""
 
     def __init__(self, theme: Theme, chosen: Callable[[int], None]) -> None:
-        super().__init__()
+        super().__init__("Episodes of the queue")
         self._rows = _Rows(self)
-        self.setModel(self._rows)
-        self._delegate = _RowPainter(theme, self)
-        self.setItemDelegate(self._delegate)
-        self.setUniformItemSizes(True)
-        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        self.setAccessibleName("Episodes of the queue")
+        self.draw_rows(self._rows, _TitleAndChip(theme, self))
         self.setMinimumWidth(170)
         self.clicked.connect(self._on_clicked)
         self._chosen = chosen
@@ -72,17 +66,6 @@ class LabelList(QListView):
         index = self._rows.index(at)
         self.setCurrentIndex(index)
         self.scrollTo(index)
-
-    def fit_to_theme(self) -> None:
-        """Take the row height of another font scale."""
-        self._rows.layoutChanged.emit()
-
-    def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Leave letters and digits to the page: the list would search by them."""
-        if event.text() and event.text().isprintable():
-            event.ignore()
-        else:
-            super().keyPressEvent(event)
 
     def _on_clicked(self, index: QModelIndex) -> None:
         self._chosen(index.row())
@@ -112,15 +95,11 @@ class _Rows(QAbstractListModel):
         self.endResetModel()
 
 
-class _RowPainter(QStyledItemDelegate):
+class _TitleAndChip(RowPainter):
     """Two lines: title and chip, then detail and badges."""
 
-    def __init__(self, theme: Theme, parent: QWidget) -> None:
-        super().__init__(parent)
-        self._theme = theme
-
     def sizeHint(self, _option: QStyleOptionViewItem, _index: Index) -> QSize:
-        line = QFontMetrics(ui_font(self._theme.scale)).height()
+        line = QFontMetrics(ui_font(self.theme.scale)).height()
         return QSize(160, round(2.3 * line) + 8)
 
     def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: Index) -> None:
@@ -128,28 +107,22 @@ class _RowPainter(QStyledItemDelegate):
         if not isinstance(row, LabelRow):
             return
         painter.save()
-        box = QRectF(option.rect)
-        chosen = bool(option.state & QStyle.StateFlag.State_Selected)
-        t = self._theme.tokens
-        if chosen:
-            painter.fillRect(box, t.colour("selection"))
-        text = t.colour("selection_text" if chosen else "text")
-        muted = t.colour("selection_text" if chosen else "muted")
+        text, muted = self.colours(painter, option)
         line = painter.fontMetrics().height()
-        inner = box.adjusted(8, 4, -8, -4)
+        inner = QRectF(option.rect).adjusted(8, 4, -8, -4)
         chip_width = self._chip(painter, inner, row.state, line)
-        painter.setFont(ui_font(self._theme.scale, 1.0, 500))
-        self._line(painter, inner.adjusted(0, 0, -chip_width - 6, 0), row.title, text)
-        painter.setFont(ui_font(self._theme.scale, 0.88))
+        painter.setFont(ui_font(self.theme.scale, 1.0, 500))
+        draw_line(painter, inner.adjusted(0, 0, -chip_width - 6, 0), row.title, text)
+        painter.setFont(ui_font(self.theme.scale, 0.88))
         second = inner.adjusted(0, 1.15 * line, 0, 0)
         words = " \N{MIDDLE DOT} ".join((*row.badges, row.detail))
-        self._line(painter, second, words, muted)
+        draw_line(painter, second, words, muted)
         painter.restore()
 
     def _chip(self, painter: QPainter, inner: QRectF, state: str, line: float) -> float:
         fill, text = CHIPS[state]
-        t = self._theme.tokens
-        painter.setFont(ui_font(self._theme.scale, 0.8, 600))
+        t = self.theme.tokens
+        painter.setFont(ui_font(self.theme.scale, 0.8, 600))
         width = painter.fontMetrics().horizontalAdvance(state) + 12
         chip = QRectF(inner.right() - width, inner.top(), width, line + 1)
         painter.setPen(QPen(t.colour("border"), 1))
@@ -158,10 +131,3 @@ class _RowPainter(QStyledItemDelegate):
         painter.setPen(t.colour(text))
         painter.drawText(chip, int(Qt.AlignmentFlag.AlignCenter), state)
         return float(width)
-
-    @staticmethod
-    def _line(painter: QPainter, box: QRectF, words: str, colour: QColor) -> None:
-        painter.setPen(colour)
-        mode = Qt.TextElideMode.ElideRight
-        shown = painter.fontMetrics().elidedText(words, mode, round(box.width()))
-        painter.drawText(box, int(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop), shown)

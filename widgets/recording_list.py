@@ -6,14 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from PySide6.QtCore import QAbstractListModel, QModelIndex, QPersistentModelIndex, QRectF, QSize, Qt
-from PySide6.QtGui import QFontMetrics, QKeyEvent, QPainter
-from PySide6.QtWidgets import QListView, QStyle, QStyledItemDelegate, QStyleOptionViewItem, QWidget
+from PySide6.QtCore import QAbstractListModel, QRectF, QSize, Qt
+from PySide6.QtGui import QFontMetrics, QPainter
+from PySide6.QtWidgets import QStyleOptionViewItem, QWidget
 
+from widgets.rows import ROOT, Index, RowList, RowPainter, draw_line
 from widgets.theme import Theme, ui_font
 
-Index = QModelIndex | QPersistentModelIndex
-ROOT = QModelIndex()
 PAD_X, PAD_Y = 8, 5
 
 
@@ -30,7 +29,7 @@ class RecordingRow:
         return "\n".join(filter(None, (self.title, self.detail)))
 
 
-class RecordingList(QListView):
+class RecordingList(RowList):
     """Shows some of many rows in any order; ``chosen`` is told the number of the row picked.
 
     Rows keep their number (their place in ``take``) however they are ordered or left out. A detail
@@ -38,18 +37,12 @@ class RecordingList(QListView):
     """
 
     def __init__(self, theme: Theme, name: str, chosen: Callable[[int], None]) -> None:
-        super().__init__()
+        super().__init__(name)
         self._rows, self._chosen = _Rows(self), chosen
         self.current = -1
         """Number of the chosen row, -1 for none; it stays chosen while it is left out."""
         self._telling = True
-        self.setModel(self._rows)
-        # Kept here: a view does not own what draws its rows.
-        self._delegate = _RowPainter(theme, self)
-        self.setItemDelegate(self._delegate)
-        self.setUniformItemSizes(True)
-        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        self.setAccessibleName(name)
+        self.draw_rows(self._rows, _TwoLines(theme, self))
         self.setMinimumHeight(60)
         self.selectionModel().selectionChanged.connect(lambda *_: self._on_selected())
 
@@ -97,17 +90,6 @@ class RecordingList(QListView):
         """Return the rows that are shown, in their order."""
         return [self._rows.rows[number] for number in self._rows.order]
 
-    def fit_to_theme(self) -> None:
-        """Take the row height of another font scale."""
-        self._rows.layoutChanged.emit()
-
-    def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Keep only what moves the choice: letters and Space are the page's."""
-        if event.text() and event.text().isprintable():
-            event.ignore()
-        else:
-            super().keyPressEvent(event)
-
     def _on_selected(self) -> None:
         """Take what was selected; a list that only gets the focus has its cursor on a row too."""
         found = self.selectedIndexes()
@@ -141,15 +123,11 @@ class _Rows(QAbstractListModel):
         self.endResetModel()
 
 
-class _RowPainter(QStyledItemDelegate):
-    """Two lines of one height: the title, and below it what the recording was."""
-
-    def __init__(self, theme: Theme, parent: QWidget) -> None:
-        super().__init__(parent)
-        self._theme = theme
+class _TwoLines(RowPainter):
+    """Of one height: the title, and below it what the recording was."""
 
     def sizeHint(self, _option: QStyleOptionViewItem, _index: Index) -> QSize:
-        line = QFontMetrics(ui_font(self._theme.scale)).height()
+        line = QFontMetrics(ui_font(self.theme.scale)).height()
         return QSize(160, 2 * line + 2 * PAD_Y)
 
     def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: Index) -> None:
@@ -157,15 +135,10 @@ class _RowPainter(QStyledItemDelegate):
         if not isinstance(row, RecordingRow):
             return
         painter.save()
-        box, tokens = QRectF(option.rect), self._theme.tokens
-        chosen = bool(option.state & QStyle.StateFlag.State_Selected)
-        if chosen:
-            painter.fillRect(box, tokens.colour("selection"))
-        painter.setFont(ui_font(self._theme.scale))
-        painter.setPen(tokens.colour("selection_text" if chosen else "text"))
-        metrics, inner = painter.fontMetrics(), box.adjusted(PAD_X, PAD_Y, -PAD_X, -PAD_Y)
+        text, _ = self.colours(painter, option)
+        painter.setFont(ui_font(self.theme.scale))
+        inner = QRectF(option.rect).adjusted(PAD_X, PAD_Y, -PAD_X, -PAD_Y)
         for at, words in enumerate((row.title, row.detail)):
-            line = inner.adjusted(0, at * metrics.height(), 0, 0)
-            cut = metrics.elidedText(words, Qt.TextElideMode.ElideRight, int(line.width()))
-            painter.drawText(line, int(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop), cut)
+            line = inner.adjusted(0, at * painter.fontMetrics().height(), 0, 0)
+            draw_line(painter, line, words, text)
         painter.restore()

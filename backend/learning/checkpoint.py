@@ -142,9 +142,7 @@ def load_card(path: Path) -> Card:
     try:
         card = Card.model_validate_json(content)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "(file)"
-        raise _bad(where, f"Bad model card, '{key}': {first['msg']}") from error
+        raise _bad(where, f"Bad model card, {first_of(error)}") from error
     wanted = columns(card.modality)
     problems = {
         f"architecture '{card.arch}' is not known": card.arch not in ARCHITECTURES,
@@ -157,6 +155,13 @@ def load_card(path: Path) -> Card:
         if applies:
             raise _bad(where, f"The model does not fit this program: {problem}")
     return card
+
+
+def first_of(error: ValidationError) -> str:
+    """Return which key of a card is wrong first, and how."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"]) or "(file)"
+    return f"'{key}': {first['msg']}"
 
 
 def parse_arrays(content: bytes, path: Path) -> dict[str, NDArray[Any]]:

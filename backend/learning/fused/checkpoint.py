@@ -18,7 +18,7 @@ from safetensors.numpy import save as save_arrays
 
 from backend.core.faults import InputError
 from backend.core.files import write_atomically
-from backend.learning.checkpoint import card_path, parse_arrays, read_limited
+from backend.learning.checkpoint import card_path, first_of, parse_arrays, read_limited
 from backend.learning.features import VECTOR_ORDER
 from backend.learning.fused.shape import ARCH, FusedShape, expected_arrays
 from backend.learning.fused.summary import TICKS
@@ -96,9 +96,7 @@ def load_fused(path: Path) -> FusedCheckpoint:
     try:
         card = FusedCard.model_validate_json(about)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "(file)"
-        raise _bad(card_path(path), f"Bad card, '{key}': {first['msg']}") from error
+        raise _bad(card_path(path), f"Bad card, {first_of(error)}") from error
     if hashlib.sha256(content).hexdigest() != card.weights_sha256:
         raise _bad(path, "The weights are damaged or not those of their card (SHA-256 differs)")
     if card.vector_order != VECTOR_ORDER or card.ticks != TICKS:

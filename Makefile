@@ -31,7 +31,14 @@ demo: setup ## stack three pieces without a screen and leave a report
 
 test: setup ## all tests: offscreen, no hardware, no network; one by real keys (Xvfb, xdotool)
 	@.ci/system-packages.sh Xvfb=xvfb xdotool=xdotool
-	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/pytest $(TESTS) -q -n $(WORKERS) --dist worksteal
+	@export QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1; \
+	$(BIN)/pytest $(TESTS) -q -n $(WORKERS) --dist worksteal || { \
+	    code=$$?; [ $$code = 1 ] || exit $$code; \
+	    echo "test: what failed is run again, one by one:"; \
+	    if $(BIN)/pytest $(TESTS) -q --last-failed --last-failed-no-failures none --maxfail 9; \
+	    then echo "test: FAILED. Alone they pass: they depend on speed, or on what ran beside or before."; \
+	    else echo "test: FAILED, alone as well."; fi; \
+	    exit $$code; }
 
 check: lint types contracts test ## what continuous integration runs
 

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
+import threading
+from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import numpy as np
 from rich.table import Table
 
 from backend.config.hardware import PLACEHOLDERS
@@ -16,9 +22,17 @@ from backend.config.method import Settings
 from backend.verbs.new_file import write_new
 from backend.verbs.screen import Screen
 
+if TYPE_CHECKING:
+    from backend.core.flow import FloatArray, TactileFrame
+    from backend.core.stream import SampleStream, Stream
+    from backend.rig.timing import Newest, Since, Timing
+    from backend.session import Session
+
 NAME = "bench"
 HELP = "check a lab file, write a new one, or connect its devices once"
 JSON_VERSION = 1
+WATCHED_S = 3.0
+"""How long the sensors are watched for the report on their time."""
 TEMPLATE = "lab.toml"
 
 
@@ -113,10 +127,13 @@ def _connect(file: Path, screen: Screen) -> int:
         connection.begin()
         follow(connection, screen.say)
         lines, away = connection.lines(), connection.missing()
+        timings = [] if away else _watched(session)
     finally:
         session.close()
     if away:
         screen.say(f"Not connected: {', '.join(away)}.")
+    if timings:
+        screen.show(_timing_table(timings))
     screen.result(
         {
             "version": JSON_VERSION,
@@ -131,9 +148,62 @@ def _connect(file: Path, screen: Screen) -> int:
                 }
                 for line in lines
             ],
+            "timing": [
+                {key: _as_number(value) for key, value in asdict(timing).items()}
+                for timing in timings
+            ],
         }
     )
     return 1 if away else 0
+
+
+def _watched(session: Session) -> list[Timing]:
+    """Return how the sensors go together in time while everything stands."""
+    from backend.rig.timing import watch
+
+    raw = session.raw
+    sensors: dict[str, tuple[Newest, Since]] = {
+        name: (partial(_newest_s, stream), partial(_since_s, stream))
+        for name, stream in (("force_torque", raw.samples), ("arm", raw.poses))
+    }
+    for finger, frames in raw.frames.items():
+        sensors[f"tactile_{finger}"] = (partial(_frame_s, frames), partial(_frames_s, frames))
+    return watch(sensors, session.clock_s, threading.Event().wait, WATCHED_S)
+
+
+def _newest_s(stream: SampleStream) -> float:
+    stamps_s = stream.since(stream.count - 1).t_s
+    return float(stamps_s[-1]) if len(stamps_s) else math.nan
+
+
+def _since_s(stream: SampleStream, t_s: float) -> FloatArray:
+    return stream.window(t_s, math.inf).t_s
+
+
+def _frame_s(frames: Stream[TactileFrame]) -> float:
+    newest = frames.newest()
+    return math.nan if newest is None else newest.t_s
+
+
+def _frames_s(frames: Stream[TactileFrame], t_s: float) -> FloatArray:
+    return np.array([frame.t_s for frame in frames.between(t_s, math.inf)])
+
+
+def _timing_table(timings: Sequence[Timing]) -> Table:
+    table = Table(title=f"Time, {WATCHED_S:.0f} s at rest, all on this computer's clock")
+    table.add_column("sensor")
+    for column in ("samples", "Hz", "interval \N{PLUS-MINUS SIGN}ms, 99 %", "longest ms",
+                   "age ms", "age ms, 99 %"):  # fmt: skip
+        table.add_column(column, justify="right")
+    for one in timings:
+        values = (one.rate_hz, one.spread_ms, one.gap_ms, one.age_ms, one.late_ms)
+        table.add_row(one.name, str(one.samples), *(f"{value:.1f}" for value in values))
+    return table
+
+
+def _as_number(value: str | float) -> str | float | None:
+    """Return ``value`` as JSON has it: None for NaN."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _write_template(path: Path) -> None:

@@ -28,6 +28,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.store",
     "tests.bench.labelling",
     "tests.bench.labelling_slips",
+    "tests.bench.labelling_day",
     "tests.bench.collecting",
     "tests.bench.experiments",
     "tests.bench.store_files",

@@ -1,4 +1,7 @@
-"""Fifty probes labelled by keys in the real window, killed twice, reviewed, handed on."""
+"""Probes labelled by keys in the real window, killed twice, reviewed, handed on.
+
+Fifty of them; ``DAY_PROBES=100`` in the environment makes it a hundred, as ``make bench`` does.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +28,10 @@ from backend.catalogue.dataset import Dataset
 from backend.catalogue.recovery import examine
 from backend.catalogue.values import Revision
 
-COLLECTED, PACKED = 2, 48
+PROBES = int(os.environ.get("DAY_PROBES", "50"))
+COLLECTED, PACKED = 2, PROBES - 2
 """Probes through the devices of the bench, and from its mass simulation."""
-KILLS = ((8, 16), (24, 36))
+KILLS = ((PROBES * 4 // 25, PROBES * 8 // 25), (PROBES * 12 // 25, PROBES * 18 // 25))
 """Between so many labelled episodes in all the window is killed."""
 LATER_S = 0.15
 FORMATS = ("csv", *(("lerobot",) if find_spec("pyarrow") and find_spec("av") else ()))

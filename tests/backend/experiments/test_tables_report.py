@@ -201,6 +201,28 @@ def test_whatever_is_damaged_it_is_told_or_does_not_matter(full: Json, tmp_path:
     assert refused > 5
 
 
+@pytest.mark.parametrize(
+    "inside",
+    [
+        "<script>alert(1)</script>",
+        '<rect onclick="alert(1)"/>',
+        '<image href="file:///etc/hostname"/>',
+        '<rect fill="url(http://elsewhere)"/>',
+        "<rect>",
+        "</svg></div><svg>",
+    ],
+)
+def test_a_film_of_a_foreign_file_only_draws(full: Json, inside: str) -> None:
+    def film(svg: str) -> Json:
+        return {"title": "Pot", "end": "", "probes": [{"svg": svg, "why": "<b>"}]}
+
+    fine = {"films": [film('<svg width="9"><rect fill="#123456"/></svg>')]}
+    assert "&lt;b&gt;" in tables_page(report_of({**full, "figures": fine}))
+    for svg in (f"<svg>{inside}</svg>", f'<!DOCTYPE svg [<!ENTITY a "b">]><svg>{inside}</svg>'):
+        with pytest.raises(ValueError, match="drawing"):
+            report_of({**full, "figures": {"films": [film(svg)]}})
+
+
 def test_tables_are_not_held_against_a_foreign_file_and_nothing_is_run_before(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -45,8 +45,10 @@ class Run:
 def stack(session: Session, seed: int) -> Run:
     run = Run()
     leave = session.hub.subscribe(run.hear)
-    session.run(StackRequest("pot", (BOTTOMS[seed % 2],), seed))
-    leave()
+    try:
+        session.run(StackRequest("pot", (BOTTOMS[seed % 2],), seed))
+    finally:
+        leave()
     return run
 
 

@@ -24,7 +24,7 @@ from backend.experiments.scoring import fused_verdicts, patch_scores
 from backend.experiments.statics import probe_groups
 from backend.jobs.running import Workplace
 from backend.jobs.spec import JobSpec
-from backend.learning.training import one_thread
+from backend.learning.device import one_thread
 from backend.objects.catalogue import load_catalogue
 from backend.placement.fused import network_of
 from backend.sensing.episode import EpisodeLimits

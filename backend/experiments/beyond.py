@@ -38,7 +38,7 @@ from backend.experiments.worlds import Setting
 from backend.jobs.running import Workplace
 from backend.jobs.spec import JobSpec
 from backend.jobs.store import JobStore
-from backend.learning.training import one_thread
+from backend.learning.device import one_thread
 from backend.objects.catalogue import load_catalogue
 from backend.objects.surface import face_points
 from backend.objects.tower import Tower, judge

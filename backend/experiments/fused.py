@@ -17,10 +17,11 @@ from backend.experiments.sequences import load_sequences, probe_sequences
 from backend.experiments.writing import program_version
 from backend.jobs.running import Kinds, Workplace
 from backend.jobs.spec import JobSpec
+from backend.learning.device import device_of, name_of, one_thread
 from backend.learning.fused.checkpoint import FusedCard, FusedSizes, save_fused
 from backend.learning.fused.left_out import Part
 from backend.learning.fused.training import FusedTrainer, FusedTraining, data_sha256
-from backend.learning.training import one_thread
+from backend.learning.job import DeviceName
 
 FIRST_SEED, SEEDS_PER_JOB = 40_000_000, 1000
 """Far from the seeds of all tables."""
@@ -72,6 +73,7 @@ class FusedRecipe:
     seed: int = 0
     without: Part | None = None
     """What an ablation leaves out."""
+    device: DeviceName = "auto"
     portions: Mapping[str, Portion] = field(default_factory=lambda: PORTIONS)
 
     def jobs(self) -> list[JobSpec]:
@@ -87,6 +89,7 @@ class FusedRecipe:
             "free": self.counts.get("free", 0),
             "counts": [n for name in self.portions if (n := self.counts.get(name, 0))],
             "without": self.without,
+            "device": self.device,
         }
         inputs = tuple(part.id for part in parts)
         return [*parts, JobSpec("fuse", facts, self.seed, inputs, self.code)]
@@ -130,7 +133,8 @@ def fuse(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
     train, held_out = map(load_sequences, divided(folders, spec.params["counts"]))
     without = spec.params["without"]
     settings = FusedTraining(steps=spec.params["steps"], seed=spec.seed, without=without)
-    trainer = FusedTrainer(train, held_out, settings)
+    device = device_of(spec.params["device"])
+    trainer = FusedTrainer(train, held_out, settings, device)
     losses = list(trainer.steps())
     metrics = {
         "train_loss": round(float(np.mean(losses[-REPORTED:])), 4),
@@ -151,6 +155,7 @@ def fuse(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
             "batch": settings.batch,
             "learning_rate": settings.learning_rate,
             "without": without,
+            "device": name_of(device),
         },
         metrics=metrics,
         program_version=program_version(),

@@ -24,7 +24,7 @@ from backend.experiments.closed_loop import TrialEnd, held_in, stack_in_lockstep
 from backend.experiments.scenes import Case, start_scene
 from backend.jobs.running import Workplace
 from backend.jobs.spec import JobSpec
-from backend.learning.training import one_thread
+from backend.learning.device import one_thread
 from backend.objects.catalogue import load_catalogue
 from backend.objects.shapes import Outline, circle, rectangle, square
 from backend.placement.fused import FusedReasoner

@@ -35,9 +35,10 @@ from backend.experiments.statics import Groups, join_groups, probe_groups
 from backend.jobs.running import Kinds, Workplace
 from backend.jobs.spec import JobSpec
 from backend.learning.checkpoint import Checkpoint, save_checkpoint
+from backend.learning.device import device_of, name_of, one_thread
 from backend.learning.fitting import card_of
 from backend.learning.metrics import LEVEL, stable_flags
-from backend.learning.training import Trainer, fingerprint, one_thread
+from backend.learning.training import Trainer, fingerprint
 from backend.objects.catalogue import load_catalogue
 from backend.objects.surface import face_points
 from backend.objects.tower import Tower
@@ -103,7 +104,8 @@ def train(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
     if head == "stability":
         rows = stability_rows(rows)
     data = fingerprint(rows)
-    trainer = Trainer(rows, settings)
+    device = device_of(spec.params["device"])
+    trainer = Trainer(rows, settings, device)
     losses = [(report.train_loss, report.validation_loss) for report in trainer.epochs()]
     card = card_of(rows, trainer, data).model_copy(update={"answers": head})
     card = save_checkpoint(place.folder / WEIGHTS, trainer.best_model().arrays(), card)
@@ -111,6 +113,7 @@ def train(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
         "weights_sha256": card.weights_sha256,
         "data_sha256": data,
         "episodes": len(rows),
+        "device": name_of(device),
         "losses": [[round(a, 5), round(b, 5)] for a, b in losses],
     }
 

@@ -33,8 +33,8 @@ from backend.experiments.tables import scored
 from backend.jobs.running import Workplace
 from backend.jobs.spec import JobSpec
 from backend.jobs.store import JobStore
+from backend.learning.device import one_thread
 from backend.learning.metrics import LEVEL
-from backend.learning.training import one_thread
 from backend.objects.catalogue import load_catalogue
 from backend.placement.strategies import begin
 from backend.placement.strategy import XY, Held, Reasoner, Touched

@@ -10,6 +10,7 @@ from backend.config.bench_facts import bench_sha256
 from backend.config.method import TrainingSettings
 from backend.config.simulation import SimulationSettings
 from backend.jobs.spec import JobSpec
+from backend.learning.job import DeviceName
 
 PIECES = ("mushroom", "barrel", "pot")
 BOTTOMS = ("short", "long")
@@ -65,6 +66,8 @@ class Recipe:
     code: str
     models: Mapping[tuple[str, str], str] = field(default_factory=dict)
     pieces: tuple[str, ...] = PIECES
+    device: DeviceName = "auto"
+    """What trains: another one gives other last digits."""
 
     def bench_id(self) -> str:
         """Return the SHA-256 of the bench's settings."""
@@ -93,7 +96,12 @@ class Recipe:
         inputs, head = next((i, h) for name, i, h in MODELS if name == model)
         settings = paper_training(inputs, self.scale.epochs)
         needs = tuple(spec.id for spec in self.data(piece))
-        params = {"piece": piece, "head": head, "training": settings.model_dump(mode="json")}
+        params = {
+            "piece": piece,
+            "head": head,
+            "training": settings.model_dump(mode="json"),
+            "device": self.device,
+        }
         return JobSpec("train", params, settings.seed, needs, self.code)
 
     def static(self, piece: str, bottom: str) -> JobSpec | None:

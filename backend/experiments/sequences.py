@@ -23,8 +23,8 @@ from backend.core.flow import CHANNELS, TACTILE_CHANNELS, FloatArray
 from backend.experiments.family import Family
 from backend.jobs.running import Workplace
 from backend.jobs.spec import JobSpec
+from backend.learning.device import one_thread
 from backend.learning.fused.summary import SENSOR_MM, TICKS, Face, acting_mm
-from backend.learning.training import one_thread
 from backend.objects.catalogue import Piece, load_catalogue
 from backend.objects.shapes import Outline
 from backend.objects.starts import draw_offset

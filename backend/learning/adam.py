@@ -26,7 +26,7 @@ class Adam:
             {
                 "exp_avg": torch.zeros_like(parameter),
                 "exp_avg_sq": torch.zeros_like(parameter),
-                "step": torch.zeros(()),
+                "step": torch.zeros((), device=parameter.device),
             }
             for parameter in self._parameters
         ]

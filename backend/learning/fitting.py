@@ -19,6 +19,7 @@ from backend.core.faults import InputError
 from backend.core.files import write_atomically
 from backend.dataset.rows import TrainingRows, load_rows
 from backend.learning.checkpoint import Card, Sizes, save_checkpoint
+from backend.learning.device import compute_alike, device_of, name_of
 from backend.learning.job import Cancelled, Epoch, Finished, Loaded, TrainingJob
 from backend.learning.origin import (
     MANIFEST,
@@ -30,7 +31,7 @@ from backend.learning.origin import (
 from backend.learning.resume import forget_state, load_state, resume_path, save_state
 from backend.learning.samples import bottom_figures, choose_samples, save_samples
 from backend.learning.shape import ARCH
-from backend.learning.training import Trainer, compute_alike, fingerprint
+from backend.learning.training import Trainer, fingerprint
 
 DIVERGED_NATS = 2 * math.log(2)
 """Twice the loss of always answering 0.5."""
@@ -50,7 +51,7 @@ def fit(job: TrainingJob, tell: Tell, cancelled: Callable[[], bool]) -> None:
     compute_alike(job.threads)
     rows = load_episodes(job.data, job.piece, job.labels)
     data = fingerprint(rows)
-    trainer = Trainer(rows, job.settings)
+    trainer = Trainer(rows, job.settings, device_of(job.device))
     state = resume_path(job.out)
     if job.resume:
         load_state(state, trainer, data)
@@ -145,7 +146,12 @@ def card_of(
             "mountings": len(set(rows.mounting_id)),
             "label_sources": sources,
         },
-        training={**settings.model_dump(), "optimiser": "Adam", "torch": torch.__version__},
+        training={
+            **settings.model_dump(),
+            "optimiser": "Adam",
+            "torch": torch.__version__,
+            "device": name_of(trainer.device),
+        },
         seed=settings.seed,
         program_version=_version(),
         weights_sha256="",

@@ -11,6 +11,10 @@ from backend.catalogue.training_set import LabelChoice
 from backend.config.method import TrainingSettings
 from backend.learning.metrics import ReliabilityBin
 
+DeviceName = Literal["auto", "cpu", "cuda"]
+"""What computes: ``auto`` is the graphics processor if torch finds one, else the processor."""
+DEVICES: tuple[DeviceName, ...] = ("auto", "cpu", "cuda")
+
 
 class Message(BaseModel):
     """Base of everything that crosses the border between the two processes."""
@@ -34,6 +38,7 @@ class TrainingJob(Message):
     """Folder that takes the manifest of the training set and sample predictions, if any."""
     threads: Annotated[int, Field(ge=1, le=64)] = 1
     """More than one gain where as many cores are free; other last digits than one thread gives."""
+    device: DeviceName = "auto"
 
 
 class Loaded(Message):

@@ -18,11 +18,13 @@ from backend.core.faults import InputError
 from backend.dataset.rows import TrainingRows
 from backend.dataset.splits import Split, split_rows
 from backend.learning.adam import Adam
+from backend.learning.device import computes_bfloat16
 from backend.learning.features import columns, fit_in_parts
 from backend.learning.metrics import LEVEL, ReliabilityBin, iou, point_accuracy, reliability
 from backend.learning.model import PatchNet, new_model
 from backend.learning.shape import Shape
 
+CPU = torch.device("cpu")
 PART = 4096
 """Episodes held in memory at once where all are gone through."""
 
@@ -60,15 +62,18 @@ class Trainer:
     The order of the samples depends on seed and epoch only, so that no generator state is needed to
     resume. The weights kept are those of the epoch with the lowest validation loss (or the last,
     as ``settings.keep`` says); ``best_figures`` are their IoU and point accuracy on the validation
-    side. ``InputError`` where this processor cannot compute in the precision that is asked for.
+    side. ``device`` computes; what is kept lies in main memory. ``InputError`` where it cannot
+    compute in the precision that is asked for.
     """
 
-    def __init__(self, rows: TrainingRows, settings: TrainingSettings) -> None:
-        if settings.precision == "bfloat16" and not computes_bfloat16():
+    def __init__(
+        self, rows: TrainingRows, settings: TrainingSettings, device: torch.device = CPU
+    ) -> None:
+        if settings.precision == "bfloat16" and not computes_bfloat16(device):
             raise InputError(
                 "This processor cannot multiply in bfloat16.", "precision", "Train in float32."
             )
-        self.settings = settings
+        self.settings, self.device = settings, device
         self.split: Split = split_rows(
             rows,
             settings.validation_share,
@@ -80,7 +85,7 @@ class Trainer:
         self._targets = torch.from_numpy(rows.patch.astype(np.float32))
         inputs = self._seen.stop - self._seen.start
         shape = Shape(inputs, settings.hidden, settings.layers, rows.patch.shape[1])
-        self.model: PatchNet = new_model(shape, settings.seed)
+        self.model: PatchNet = new_model(shape, settings.seed).to(device)
         parts = (rows.inputs(index) for index in in_parts(train))
         self.model.set_normaliser(fit_in_parts(parts, settings.modality))
         self.optimiser = Adam(self.model.parameters(), settings.learning_rate)
@@ -114,8 +119,8 @@ class Trainer:
     def predict_held_out(self) -> NDArray[np.float32]:
         """(n, N) probabilities of the kept weights for the validation side."""
         parts = in_parts(self.split.held_out)
-        model = self.best_model()
-        logits = [predict_logits(model, self._inputs(index)) for index in parts]
+        model = self.best_model().to(self.device)
+        logits = [predict_logits(model, self._inputs(index)).cpu() for index in parts]
         return np.asarray(torch.sigmoid(torch.cat(logits)).numpy(), dtype=np.float32)
 
     def _train_epoch(self, cancelled: Callable[[], bool]) -> float | None:
@@ -129,9 +134,9 @@ class Trainer:
             if cancelled():
                 return None
             self.optimiser.zero_grad()
-            with torch.autocast("cpu", torch.bfloat16, enabled=coarse):
+            with torch.autocast(self.device.type, torch.bfloat16, enabled=coarse):
                 logits = self.model(self._inputs(batch))
-            loss = bce(logits.float(), self._targets[batch])
+            loss = bce(logits.float(), self._targets[batch].to(self.device))
             loss.backward()  # type: ignore[no-untyped-call]
             self.optimiser.step()
             total += float(loss.detach()) * len(batch)
@@ -146,7 +151,7 @@ class Trainer:
 
     def _validate(self, train_loss: float) -> EpochReport:
         model, held_out = self.model.eval(), self.split.held_out
-        parts = [predict_logits(model, self._inputs(index)) for index in in_parts(held_out)]
+        parts = [predict_logits(model, self._inputs(index)).cpu() for index in in_parts(held_out)]
         logits, targets = torch.cat(parts), self._targets[held_out]
         loss = float(bce(logits, targets))
         probability = torch.sigmoid(logits).numpy()
@@ -167,34 +172,18 @@ class Trainer:
         )
 
     def _inputs(self, index: NDArray[np.int64]) -> Tensor:
-        """(B, 20, inputs) what the model sees of the episodes at ``index``."""
+        """(B, 20, inputs) what the model sees of the episodes at ``index``, where it computes."""
         seen = self._rows.inputs(index)[:, :, self._seen]
-        return torch.from_numpy(np.ascontiguousarray(seen))
+        return torch.from_numpy(np.ascontiguousarray(seen)).to(self.device)
 
     def _weights(self) -> dict[str, Tensor]:
-        return {name: tensor.clone() for name, tensor in self.model.state_dict().items()}
-
-
-def computes_bfloat16() -> bool:
-    """Whether the LSTM can be trained with bfloat16 products here: oneDNN wants AVX-512 for it."""
-    return "AVX512" in torch.backends.cpu.get_cpu_capability()
+        state = self.model.state_dict()
+        return {name: tensor.to("cpu", copy=True) for name, tensor in state.items()}
 
 
 def in_parts(index: NDArray[np.int64], size: int = PART) -> list[NDArray[np.int64]]:
     """Return ``index`` in pieces of at most ``size``."""
     return [index[start : start + size] for start in range(0, len(index), size)]
-
-
-def one_thread() -> None:
-    """Let this process train and predict on one thread, the same on every machine."""
-    compute_alike(1)
-
-
-def compute_alike(threads: int) -> None:
-    """Let this process compute on so many threads, by algorithms that repeat their results."""
-    torch.set_num_threads(threads)
-    # ``use_deterministic_algorithms`` would also load torch's compiler, to set an option of it.
-    torch.set_deterministic_debug_mode("error")
 
 
 def bce(logits: Tensor, targets: Tensor) -> Tensor:

@@ -22,6 +22,7 @@ from backend.verbs.experiment_report import (
     written_whole,
 )
 from backend.verbs.screen import Screen
+from backend.verbs.train import add_device
 
 if TYPE_CHECKING:
     from backend.experiments.compared import Compared
@@ -79,6 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--against", type=Path, metavar="JSON", help="tell which 95 %% intervals miss the values "
         "of another tables.json",
     )  # fmt: skip
+    add_device(parser)
     parser.add_argument("--executor", choices=EXECUTORS, default="local", help="default: local")
     parser.add_argument(
         "--workers",
@@ -288,7 +290,7 @@ def _recipe(args: argparse.Namespace, store: JobStore) -> Recipe:
     if not scale.probes:
         folders = [args.models] if args.models else models_that_ship(bench.preset)
         models = adopt_models(store, *folders)
-    return Recipe(scale, bench, program_version(), models, pieces)
+    return Recipe(scale, bench, program_version(), models, pieces, args.device)
 
 
 def _executor(args: argparse.Namespace, store: JobStore) -> Executor:

@@ -67,7 +67,7 @@ def train_fused(
         )
     bench = load_simulation(args.bench, None if args.bench else args.preset)
     code = program_version()
-    recipe = FusedRecipe(bench, code, counts, args.steps, args.seed, args.without)
+    recipe = FusedRecipe(bench, code, counts, args.steps, args.seed, args.without, args.device)
     jobs = recipe.jobs()
     training = jobs[-1].id
     asked = rule_jobs(bench, code, training, args.rule_trials)

@@ -30,11 +30,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=1,
         help="processor threads, as many as there are free cores (default: 1)",
     )
+    add_device(parser)
     parser.add_argument(
         "--out", type=Path, help="model file (default: <piece>.safetensors in the present folder)"
     )
     parser.add_argument(
         "--resume", action="store_true", help="go on with an interrupted training of the same model"
+    )
+
+
+def add_device(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--device``."""
+    parser.add_argument(
+        "--device",
+        choices=("auto", "cpu", "cuda"),
+        default="auto",
+        help="what trains: the graphics processor if torch finds one, or the one that is named "
+        "(default: %(default)s)",
     )
 
 
@@ -119,6 +131,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         "labels": args.labels,
         "resume": args.resume,
         "threads": args.threads,
+        "device": args.device,
     }
     curve: list[dict[str, object]] = []
     answer: dict[str, object] = {"version": JSON_VERSION}

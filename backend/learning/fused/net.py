@@ -37,7 +37,8 @@ class FusedNet(nn.Module):
     def fused(self, probes: Tensor) -> Tensor:
         """Return (b, P, width): what is known after each of the probes (b, P, inputs), scaled."""
         count = probes.shape[1]
-        later = torch.triu(torch.full((count, count), -torch.inf), diagonal=1)
+        never = torch.full((count, count), -torch.inf, device=probes.device)
+        later = torch.triu(never, diagonal=1)
         x = self._linear("probe2", relu(self._linear("probe", probes)))
         for layer in range(self.shape.layers):
             x = x + self._attended(layer, rms_norm(x, x.shape[-1:]), later)
@@ -87,4 +88,4 @@ def _key(name: str) -> str:
 
 def arrays_of(net: FusedNet) -> dict[str, Tensor]:
     """Return the weights by the names of a checkpoint."""
-    return {key.replace("/", "."): value.detach() for key, value in net.weights.items()}
+    return {key.replace("/", "."): value.detach().cpu() for key, value in net.weights.items()}

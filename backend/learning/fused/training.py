@@ -125,8 +125,14 @@ def half_planes(polygon_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
 class FusedTrainer:
     """Network and data of one training; the same seed gives the same weights on one thread."""
 
-    def __init__(self, train: Arrays, held_out: Arrays, settings: FusedTraining) -> None:
-        self._settings = settings
+    def __init__(
+        self,
+        train: Arrays,
+        held_out: Arrays,
+        settings: FusedTraining,
+        device: torch.device = torch.device("cpu"),  # noqa: B008 - a value, never changed
+    ) -> None:
+        self._settings, self._device = settings, device
         self.modes = typical_fields(train["field"][:FIRST_OF_FIELDS])
         self._train = sequences(train, self.modes, mirror=settings.without != "mirrors")
         self._held_out = sequences(held_out, self.modes, mirror=False)
@@ -134,7 +140,8 @@ class FusedTrainer:
         self.mean, spread = rows.mean(dim=0), rows.std(dim=0)
         self.scale = torch.where(spread > 1e-6, spread, torch.ones(()))
         self.scale[torch.from_numpy(unread(settings.without))] = UNREAD
-        self.net = FusedNet(settings.shape, settings.seed, alone=settings.without == "others")
+        alone = settings.without == "others"
+        self.net = FusedNet(settings.shape, settings.seed, alone=alone).to(device)
         learned = (weight for weight in self.net.parameters() if weight.requires_grad)
         self._adam = Adam(learned, settings.learning_rate)
         self._generator = torch.Generator().manual_seed(settings.seed + 1)
@@ -174,8 +181,9 @@ class FusedTrainer:
         asked = point_inputs(points.numpy(), away.numpy()).astype(np.float32)
         probes = (data.probes[rows] - self.mean) / self.scale
         there = data.there[rows]
-        answer = self.net(torch.where(there[..., None], probes, 0.0), torch.from_numpy(asked))
-        return surprise(answer, inset)[there].mean()
+        seen = torch.where(there[..., None], probes, 0.0).to(self._device)
+        answer = self.net(seen, torch.from_numpy(asked).to(self._device))
+        return surprise(answer, inset.to(self._device))[there.to(self._device)].mean()
 
 
 def data_sha256(arrays: Arrays) -> str:

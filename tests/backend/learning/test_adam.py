@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from backend.learning.adam import Adam
-from backend.learning.training import one_thread
+from backend.learning.device import one_thread
 
 RATE = 0.01
 

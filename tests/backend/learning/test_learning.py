@@ -12,6 +12,7 @@ from backend.config.method import TrainingSettings
 from backend.core.faults import InputError
 from backend.dataset.rows import TrainingRows
 from backend.dataset.splits import split_rows
+from backend.learning.device import computes_bfloat16
 from backend.learning.features import (
     MODALITIES,
     channel_groups,
@@ -22,7 +23,7 @@ from backend.learning.features import (
 from backend.learning.model import new_model
 from backend.learning.resume import load_state, save_state
 from backend.learning.shape import Shape
-from backend.learning.training import Trainer, bce, computes_bfloat16, fingerprint, predict
+from backend.learning.training import Trainer, bce, fingerprint, predict
 
 
 def rows(count: int, per_grip: int = 2, mountings: int = 1, points: int = 9) -> TrainingRows:
@@ -157,7 +158,7 @@ def test_eight_episodes_are_learnt_by_heart() -> None:
 
 def test_coarse_products_train_float32_weights_to_nearly_the_same_loss() -> None:
     data = rows(24)
-    if not computes_bfloat16():
+    if not computes_bfloat16(torch.device("cpu")):
         with pytest.raises(InputError, match="This processor cannot multiply in bfloat16"):
             Trainer(data, SMALL.model_copy(update={"precision": "bfloat16"}))
         return

@@ -5,12 +5,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import torch
 
 from backend.__main__ import main
 from backend.learning.checkpoint import load_card
-from backend.learning.training import computes_bfloat16
+from backend.learning.device import computes_bfloat16
 
-PRECISION = "bfloat16" if computes_bfloat16() else "float32"
+PRECISION = "bfloat16" if computes_bfloat16(torch.device("cpu")) else "float32"
 Data = Callable[[Path, int], Path]
 
 

@@ -78,6 +78,7 @@ class NothingHere(QWidget):
         column.addSpacing(4)
         column.addWidget(self.button, 0, Qt.AlignmentFlag.AlignHCenter)
         column.addStretch(3)
+        self.show_why(EMPTY)
         self.hide()
 
     def show_why(self, nothing: Nothing) -> None:

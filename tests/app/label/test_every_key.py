@@ -27,6 +27,7 @@ BY_KEYS = {
     "discard": ("discard",),
     "search": ("log",),
     "person": ("person",),
+    "command": ("queue", "score", "person", "next"),
     "tab": ("versions", "agreement", "log", "bulk", "health"),
     "preview": ("bulk",),
     "apply": ("bulk",),

@@ -107,7 +107,7 @@ def test_the_model_scores_the_dataset_beside_the_labels(desk, qtbot):
     before = content(desk)
     desk.workspace.presenter.choose_queue("disagreement")
     desk.settle()
-    assert "Ctrl+M" in desk.page.message.text()
+    assert "Ctrl+M" in desk.page.nothing.button.text()
     desk.press(KEY.Key_M, CTRL)
     wait(desk, qtbot, "were scored")
     qtbot.waitUntil(lambda: len(desk.workspace.presenter.walk.order) == LABELLED, timeout=60_000)

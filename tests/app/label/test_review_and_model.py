@@ -147,7 +147,8 @@ def test_a_damaged_file_costs_one_episode(start, folder):
     desk.workspace.presenter.go_to(1)
     desk.settle()
     assert desk.now is None
-    assert "cannot be read" in desk.page.message.text()
+    assert "cannot be read" in desk.page.nothing.title.text()
+    assert "damaged" in desk.page.message.text()
     desk.do(KEY.Key_PageDown)
     assert desk.now is not None
 

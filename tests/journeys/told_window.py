@@ -1,0 +1,100 @@
+"""Child of the day by real keys: the window as its command opens it, on a bench that can hurry.
+
+A line on standard input is answered by one on standard output, in JSON: ``look`` tells where every
+control is on the screen and what it says; after ``hurry`` the bench takes the same course as fast
+as it computes, after ``real`` in real time again. Nothing can be pressed from here.
+"""
+
+import json
+import sys
+
+from PySide6.QtCore import QPoint, QSocketNotifier
+from PySide6.QtWidgets import (
+    QAbstractButton,
+    QAbstractSpinBox,
+    QApplication,
+    QLabel,
+    QLineEdit,
+    QProgressBar,
+    QWidget,
+)
+
+import app.start
+from app.__main__ import parser
+from tests.backend.brisk import brisk_method
+
+SPEED = {"look": None, "real": 1.0, "hurry": 1000.0}
+INSIDE_PX = 12
+SPEAKING = QProgressBar | QAbstractButton | QAbstractSpinBox | QLabel | QLineEdit
+
+
+live_bench = app.start.live_bench
+
+
+class Told:
+    """Answers for the window."""
+
+    def __init__(self):
+        self.session = None
+
+    def bench(self, settings=None):
+        """Build the bench as the window does; free moves are fast."""
+        self.session = live_bench(settings)
+        self.session._settings = brisk_method()
+        return self.session
+
+    def listen(self):
+        self._notifier = QSocketNotifier(sys.stdin.fileno(), QSocketNotifier.Type.Read)
+        self._notifier.activated.connect(self._answer)
+
+    def _answer(self):
+        word = sys.stdin.readline().strip()
+        if SPEED[word] is not None and self.session is not None:
+            self.session._live._speed = SPEED[word]
+        sys.stdout.write(json.dumps(controls()) + "\n")
+        sys.stdout.flush()
+
+
+def controls():
+    """Return what can be seen: name, words, whether it can be used, where on the screen to click.
+
+    A click near the corner hits the field of a number, the box of a tick, the first row of a list.
+    """
+    found = []
+    for widget in QApplication.allWidgets():
+        seen = widget.visibleRegion().boundingRect()
+        name, words = widget.accessibleName(), words_of(widget)
+        if not widget.isVisible() or seen.isEmpty() or not (name or words):
+            continue
+        corner = seen.topLeft()
+        inside = QPoint(min(INSIDE_PX, seen.width() // 2), min(INSIDE_PX, seen.height() // 2))
+        at = widget.mapToGlobal(corner + inside)
+        found.append(
+            {"name": name, "words": words, "usable": widget.isEnabled(), "at": [at.x(), at.y()]}
+        )
+    return found
+
+
+def words_of(widget: QWidget):
+    if isinstance(widget, SPEAKING):
+        return widget.text()
+    return ""
+
+
+def main():
+    told = Told()
+    app.start.live_bench = told.bench
+    args = parser().parse_args()
+    made = app.start.TouchdownApp
+
+    class TellingApp(made):
+        def start(self):
+            super().start()
+            told.listen()
+
+    app.start.TouchdownApp = TellingApp
+    return app.start.run(args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

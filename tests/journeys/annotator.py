@@ -13,6 +13,7 @@ import time
 import traceback
 from collections.abc import Callable, Generator, Iterator
 from itertools import count
+from typing import Any
 
 from PySide6.QtCore import QObject, Qt, QTimer
 from PySide6.QtTest import QTest
@@ -274,9 +275,31 @@ def correct(me: Person) -> Doing:
     tell(end="correct", corrected=order)
 
 
+def train(me: Person) -> Doing:
+    """Bob trains on what was approved, with the form as it stands but for the epochs."""
+    workspace: Any = me.main.workspaces["train"]
+    me.press(KEY.Key_3, CTRL)
+    form = workspace.page.form
+
+    def settled() -> bool:
+        return workspace.presenter is not None and not workspace._commits.busy
+
+    yield settled
+    epochs = form.numbers.epochs
+    epochs.setFocus()
+    epochs.selectAll()
+    me.type("2")
+    me.press(KEY.Key_Tab)
+    yield lambda: settled() and form.start.isEnabled()
+    me.press(KEY.Key_Return, CTRL)
+    yield lambda: workspace.presenter.thread is not None
+    yield lambda: workspace.presenter.thread is None and settled()
+    tell(end="train", runs=workspace.page.runs.texts())
+
+
 PARTS = {
     "arrive": arrive, "take-back": take_back, "label": label, "four-eyes": four_eyes,
-    "review": review, "correct": correct,
+    "review": review, "correct": correct, "train": train,
 }  # fmt: skip
 
 

@@ -27,6 +27,7 @@ from backend.__main__ import main
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.recovery import examine
 from backend.catalogue.values import Revision
+from backend.learning.training_runs import training_runs
 
 PROBES = int(os.environ.get("DAY_PROBES", "50"))
 COLLECTED, PACKED = 2, PROBES - 2
@@ -196,7 +197,7 @@ def test_a_day_of_labelling(
         assert todo == order[-len(todo) :]  # what was decided is gone from the front, in order
         known.interrupted.add(known.at)
         assert todo[0] in (known.at, order[order.index(known.at) + 1])
-    app = window("arrive", "take-back", "label", "four-eyes", "review", "correct")
+    app = window("arrive", "take-back", "label", "four-eyes", "review", "correct", "train")
     told = app.until(known, None)
     assert app.close() == 0
     assert told[0]["begun"] == todo
@@ -209,7 +210,7 @@ def test_a_day_of_labelling(
     assert "ann wrote it: another person has to review it" in refused["refused"]
     approved = check_reviewed(folder, known, told)
     check_keys(known, first, told)
-    check_training(folder, approved, tmp_path, capsys)
+    check_training(folder, approved)
     check_exports(folder, approved, tmp_path, capsys)
 
 
@@ -263,13 +264,13 @@ def said(words: list[str], capsys) -> Told:
     return json.loads(capsys.readouterr().out)
 
 
-def check_training(folder: Path, approved: dict[str, Revision], room: Path, capsys) -> None:
-    """A model is trained on exactly the approved labels."""
-    answer = said(["train", str(folder), "--epochs", "2", "--batch", "16", "--out",
-                   str(room / "pot.safetensors")], capsys)  # fmt: skip
-    assert (room / "pot.safetensors").stat().st_size > 10_000
-    assert answer["episodes"] == len(approved)
-    manifest = json.loads((folder / "runs" / answer["run"] / "manifest.json").read_text())
+def check_training(folder: Path, approved: dict[str, Revision]) -> None:
+    """The model of the Train page learned from exactly the approved labels."""
+    (run,) = training_runs(folder)
+    assert run.state == "finished"
+    assert run.model.stat().st_size > 10_000
+    assert len(run.curves["validation_loss"]) == 2
+    manifest = json.loads((run.folder / "manifest.json").read_text())
     assert {e["episode"]: e["revision"] for e in manifest["episodes"]} == revisions(approved)
     assert {e["split"] for e in manifest["episodes"]} == {"train", "held out"}
 

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from backend.calibration.camera import SIDES, Push, Side, estimate_cameras, tells_fingers
 from backend.calibration.estimate import Estimate
-from backend.core.facts import PhaseEntered, Progress
-from backend.core.faults import RefusedError
+from backend.core.facts import PhaseEntered, Progress, Said
+from backend.core.faults import Fault, RefusedError
 from backend.core.flow import FINGERS, FloatArray, Pose
 from backend.devices.protocols import PressCommand
+from backend.runs import words
+from backend.runs.again import again_if_void
 from backend.runs.bench import Bench
 from backend.runs.jig import pick, put_back
 from backend.runs.motions import MOVE_S, zero_sensors
 from backend.runs.plan import Checkpoint, Plan, Waiting, motion_done
 from backend.runs.requests import CalibrateRequest
-from backend.runs.touching import find_height
+from backend.runs.touching import find_height, rise_to
 
 OUT = 0.7
 """The axis of the tool goes beyond the rim of the bottom by this share of the half width of the
@@ -52,8 +55,11 @@ def _pushes(bench: Bench, request: CalibrateRequest) -> Plan[list[Push]]:
         x_mm, y_mm = (origin + out_mm * _towards(side)).tolist()
         motion = bench.arm.move_to(Pose(x_mm, y_mm, start_mm), bench.settings.probe.travel_mm_s)
         yield from motion_done(motion, MOVE_S, "the arm to shift")
-        each = yield from _push(bench, side, start_mm)
+        each = yield from again_if_void(
+            partial(_push, bench, side), partial(_after_void, bench, start_mm)
+        )
         pushed.append(each)
+        yield from rise_to(bench, start_mm)
     yield Progress(bench.now_s(), MOST, MOST, "back to the jig")
     yield from put_back(bench)
     return pushed
@@ -73,8 +79,13 @@ def next_side(pushed: Sequence[Push]) -> Side | None:
     return ACROSS[0]
 
 
-def _push(bench: Bench, side: Side, start_mm: float) -> Plan[Push]:
-    """Press here and rise to ``start_mm``, straight up."""
+def _after_void(bench: Bench, start_mm: float, fault: Fault) -> Plan[None]:
+    yield Said(bench.now_s(), words.void_touch(fault))
+    yield from rise_to(bench, start_mm)
+
+
+def _push(bench: Bench, side: Side) -> Plan[Push]:
+    """Press here and stay pressed."""
     yield from zero_sensors(bench, 0)
     yield PhaseEntered(bench.now_s(), "press", 0)
     probe = bench.settings.probe
@@ -91,12 +102,7 @@ def _push(bench: Bench, side: Side, start_mm: float) -> Plan[Push]:
     )
     yield Waiting(lambda: press.done, MOVE_S, "the press to end")
     press.result()
-    found = _felt(bench, side)
-    yield PhaseEntered(bench.now_s(), "lift", 0)
-    here = bench.arm.pose(max_age_s=0.2)
-    up = bench.arm.move_to(Pose(here.x_mm, here.y_mm, start_mm), probe.travel_mm_s)
-    yield from motion_done(up, MOVE_S, "the arm to lift")
-    return found
+    return _felt(bench, side)
 
 
 def _felt(bench: Bench, side: Side) -> Push:

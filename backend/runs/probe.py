@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -10,9 +11,9 @@ from backend.config.method import EARLY_TICKS, SAMPLES_PER_PROBE, TICK_S
 from backend.core.facts import PhaseEntered, Said
 from backend.core.faults import Fault, FaultError
 from backend.core.flow import FloatArray, ScenePicture
-from backend.devices.motion import VOID_PRESS
 from backend.devices.protocols import PressCommand
 from backend.runs import words
+from backend.runs.again import again_if_void
 from backend.runs.bench import Bench
 from backend.runs.judged import Felt
 from backend.runs.motions import lift, zero_sensors
@@ -30,8 +31,6 @@ one is then as late as the end waits for."""
 HUSH_S = 0.02
 """Who is drawing has this long to end it before the decision is due."""
 LONGEST_HUSH_S = 0.08
-VOID_TRIES = 3
-"""So many presses, while each is void because replies of the arm stayed away for a moment."""
 
 
 def press_command(bench: Bench) -> PressCommand:
@@ -55,17 +54,15 @@ def press_once(
 
     ``offset_mm`` (2,): commanded displacement (None: where the arm is, in its own frame).
     ``decides``: a decision follows at once, which nothing should disturb. A press that the arm's
-    link made void is made again, ``VOID_TRIES`` times in all.
+    link made void is made again.
     """
-    for left in reversed(range(VOID_TRIES)):
-        try:
-            return (yield from _press(bench, probe, offset_mm, decides=decides))
-        except FaultError as error:
-            if error.fault.code != VOID_PRESS or not left:
-                raise
-            yield Said(bench.now_s(), words.void_press(probe, error.fault))
+
+    def after_void(fault: Fault) -> Plan[None]:
+        yield Said(bench.now_s(), words.void_press(probe, fault))
         yield from lift(bench, probe)
-    raise AssertionError("unreachable: the loop returns or raises")
+
+    press = partial(_press, bench, probe, offset_mm, decides=decides)
+    return (yield from again_if_void(press, after_void))
 
 
 def _press(bench: Bench, probe: int, offset_mm: FloatArray | None, *, decides: bool) -> Plan[Felt]:

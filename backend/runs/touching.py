@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
-from backend.core.facts import PhaseEntered
-from backend.core.faults import FaultError, RefusedError
+from backend.core.facts import PhaseEntered, Said
+from backend.core.faults import Fault, FaultError, RefusedError
 from backend.core.flow import FloatArray, Pose
 from backend.devices.protocols import PressCommand
+from backend.runs import words
+from backend.runs.again import again_if_void
 from backend.runs.bench import Bench
 from backend.runs.jig import approach
 from backend.runs.motions import MOVE_S, rest
@@ -78,8 +81,32 @@ def touched_mm(
     """Descend at ``place`` (2,) from ``start_mm``; return the height of contact, None without one.
 
     Without contact it goes ``below_mm`` below the usual height of contact. The arm ends at
-    ``start_mm``.
+    ``start_mm``. A touch that the arm's link made void is made again.
     """
+
+    def after_void(fault: Fault) -> Plan[None]:
+        yield Said(bench.now_s(), words.void_touch(fault))
+        yield from rise_to(bench, start_mm)
+
+    touch = partial(_touched_mm, bench, place, start_mm, below_mm)
+    return (yield from again_if_void(touch, after_void))
+
+
+def rise_to(bench: Bench, start_mm: float) -> Plan[None]:
+    """Rise to ``start_mm`` straight up from where the contact has pushed the arm.
+
+    Sideways it would drag.
+    """
+    yield PhaseEntered(bench.now_s(), "lift", 0)
+    here = bench.arm.pose(max_age_s=0.2)
+    up = Pose(here.x_mm, here.y_mm, start_mm)
+    motion = bench.arm.move_to(up, bench.settings.probe.travel_mm_s)
+    yield from motion_done(motion, MOVE_S, "the arm to lift")
+
+
+def _touched_mm(
+    bench: Bench, place: FloatArray, start_mm: float, below_mm: float
+) -> Plan[float | None]:
     probe = bench.settings.probe
     x_mm, y_mm = place.tolist()
     motion = bench.arm.move_to(Pose(x_mm, y_mm, start_mm), probe.travel_mm_s)
@@ -105,11 +132,7 @@ def touched_mm(
         if cause.fault.code != "NO-CONTACT":
             raise
     height_mm = None if onset_s is None else _height_mm(bench, onset_s)
-    yield PhaseEntered(bench.now_s(), "lift", 0)
-    # Straight up from where the contact has pushed the arm: sideways it would drag.
-    here = bench.arm.pose(max_age_s=0.2)
-    up = bench.arm.move_to(Pose(here.x_mm, here.y_mm, start_mm), probe.travel_mm_s)
-    yield from motion_done(up, MOVE_S, "the arm to lift")
+    yield from rise_to(bench, start_mm)
     return height_mm
 
 

@@ -89,6 +89,11 @@ def void_press(probe: int, fault: Fault) -> str:
     return f"Probe {probe} is void: {fault.what} Pressing again."
 
 
+def void_touch(fault: Fault) -> str:
+    """Say why a touch that looks for a height or an edge is made again."""
+    return f"The touch is void: {fault.what} Touching again."
+
+
 def late(held_s: float) -> str:
     """Say that a verdict came too late to be acted on while pressed."""
     return f"The verdict took {held_s:.1f} s, too long to hold the press: lifted, probing again."

@@ -10,16 +10,19 @@ import pytest
 from backend.assembly import SimulatedBenchChoice, simulated_session
 from backend.calibration.estimate import Estimate
 from backend.config.simulation import SimulationSettings
-from backend.core.facts import CalibrationMeasured
-from backend.core.faults import RefusedError
+from backend.core.facts import CalibrationMeasured, Said
+from backend.core.faults import FaultError, RefusedError
 from backend.devices.interlock import Limits
+from backend.devices.melfa.link_faults import VOID
 from backend.devices.sim.arm import SimArm
 from backend.objects.shapes import circle, rectangle, regular, square
 from backend.runs import calibrate_pushes, touching
+from backend.runs.again import VOID_TRIES
 from backend.runs.calibrate_board import along_edges, measure_board
 from backend.runs.calibrate_payload import measure_payload, measure_wrist
 from backend.runs.calibrate_tool import measure_tool
 from backend.runs.descents import middle_of_overlap
+from backend.runs.jig import pick
 from backend.runs.motions import take_piece
 from backend.runs.requests import CalibrateRequest
 from backend.session import Keep
@@ -111,6 +114,36 @@ def test_a_bottom_that_is_not_there_is_refused() -> None:
     request = CalibrateRequest("board", origin_mm=(40.0, 0.0))
     with pytest.raises(RefusedError, match="ORIGIN-FAR"):
         measured(BlindBench(request.scene()), measure_board, request)
+
+
+@pytest.mark.parametrize("voids", [2, 3])
+def test_a_void_touch_is_made_again_but_not_for_ever(voids, monkeypatch) -> None:
+    """What a real arm ends a touch with while its replies stay away for a moment."""
+    pressed = []
+    press = SimArm.press
+
+    def lost(arm, command):
+        motion = press(arm, command)
+        pressed.append(motion)
+        if len(pressed) <= voids:
+            motion.end(VOID)
+        return motion
+
+    monkeypatch.setattr(SimArm, "press", lost)
+    blind = BlindBench(CalibrateRequest("board", seed=5).scene())
+
+    def height(bench):
+        yield from pick(bench)
+        return (yield from touching.find_height(bench, np.zeros(2)))
+
+    if voids == VOID_TRIES:
+        with pytest.raises(FaultError, match="PRESS-VOID"):
+            blind.run(height)
+    else:
+        assert blind.run(height) == pytest.approx(blind.bench.piece.grip_height_mm, abs=0.1)
+    assert len(pressed) == 3
+    told = [fact.text for fact in blind.facts if isinstance(fact, Said)]
+    assert [("is void" in text, "Touching again" in text) for text in told] == 2 * [(True, True)]
 
 
 def test_edges_are_felt_where_one_of_both_outlines_runs_along_the_other() -> None:

@@ -25,8 +25,9 @@ from backend.learning.alone import check_alone, misfits
 from backend.learning.checkpoint import Card
 from backend.learning.registry import Registry
 from backend.objects.catalogue import Catalogue, Piece, load_catalogue
+from backend.objects.leaning import draw_tower, placeable
 from backend.objects.starts import draw_start
-from backend.objects.tower import Tower, judge
+from backend.objects.tower import Tower
 from backend.placement.estimator import Estimator
 from backend.runs.bench import Estimate, NoModel, ReleaseVerdict, SceneView
 from backend.runs.requests import SceneChoice
@@ -40,8 +41,8 @@ from backend.simulation.holding import start_command_mm
 from backend.simulation.scene import Scene
 from backend.simulation.scoring import Truth, margin_mm
 
-TOWER_LEAN_MM = 2.0
-"""Each further bottom of a tower stands off the one below by up to this, in a drawn direction."""
+TOWERS = 100
+"""So many towers are drawn at most until the piece can stand on one."""
 DIRECTIONS = 32
 JIG_MM = (-80.0, 0.0)
 """The jig stands here beside the bottom."""
@@ -184,28 +185,25 @@ def model_in_use(piece: str, registry: Registry | None) -> Path:
     return shipped_model(piece) if path is None else path
 
 
-def make_tower(catalogue: Catalogue, names: tuple[str, ...], rng: np.random.Generator) -> Tower:
+def make_tower(
+    catalogue: Catalogue, choice: SceneChoice, piece: Piece, rng: np.random.Generator
+) -> Tower:
     """Stand the named bottoms on each other; those above the first lean out at random.
 
-    Raises ``InputError`` for an unknown bottom. The tower stands by itself.
+    Drawn until ``piece`` can stand on it. Raises ``InputError`` for an unknown bottom, or where
+    nothing could be placed.
     """
+    names = choice.bottoms
     if not names or not all(names):
         raise InputError("No bottom was named.", "--bottom", "Name one, such as short.")
-    tower = Tower((catalogue.bottom(names[0]).body(),))
-    for name in names[1:]:
-        tower = _with_leaning(tower, catalogue.bottom(name), rng)
-    return tower
-
-
-def _with_leaning(tower: Tower, piece: Piece, rng: np.random.Generator) -> Tower:
-    below = tower.bodies[-1].at_mm
-    for _ in range(100):
-        reach, angle = TOWER_LEAN_MM * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
-        at = (below[0] + float(reach * np.cos(angle)), below[1] + float(reach * np.sin(angle)))
-        grown = tower.with_top(piece.body(at))
-        if judge(grown).stands:
-            return grown
-    raise InputError(f"'{piece.name}' does not stand there.", "--bottom", "Choose another tower.")
+    bottoms = tuple(map(catalogue.bottom, names))
+    for _ in range(TOWERS):
+        tower = draw_tower(rng, bottoms)
+        if len(bottoms) == 1 or placeable(piece, tower):
+            return tower
+    raise InputError(
+        f"'{piece.name}' stands nowhere on it.", "+".join(names), "Choose another tower."
+    )
 
 
 def make_scene(catalogue: Catalogue, choice: SceneChoice, settings: SimulationSettings) -> Scene:
@@ -215,7 +213,7 @@ def make_scene(catalogue: Catalogue, choice: SceneChoice, settings: SimulationSe
         raise InputError(f"The seed {seed} is negative.", "--seed", "Give 0 or a positive number.")
     piece = catalogue.top(choice.piece)
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 77])))
-    tower = make_tower(catalogue, choice.bottoms, rng)
+    tower = make_tower(catalogue, choice, piece, rng)
     if choice.jig:
         return _collecting(piece, tower, choice, settings)
     start = draw_start(rng, piece.body(), tower)

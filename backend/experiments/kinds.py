@@ -167,18 +167,10 @@ def _scores(checkpoint: Checkpoint, case: Case, groups: Groups) -> dict[str, Any
 
 def stack(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
     """Run the trials of one cell; every trial counts, whatever its outcome."""
-    p, catalogue = spec.params, load_catalogue()
-    case = Case.of(catalogue, p["piece"], tuple(p["bottoms"]), _bench(p))
+    p = spec.params
+    case = _case(p)
     one_thread()
-    scenes: list[Scene] = []
-    left_out, seed = 0, spec.seed
-    while len(scenes) < p["trials"]:
-        scene = start_scene(case, seed)
-        seed += 1
-        if scene is None:
-            left_out += 1
-        else:
-            scenes.append(scene)
+    scenes, left_out = _counted(case, spec)
     settings, limits = StackSettings(), EpisodeLimits()
     answer: dict[str, Any] = {
         "bench_sha256": bench_sha256(case.settings),
@@ -197,8 +189,24 @@ def stack(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
     return {**answer, "trials": [end.as_json() for end in ends]}
 
 
+def _counted(case: Case, spec: JobSpec) -> tuple[list[Scene], int]:
+    """Return the first scenes in which something can be placed, and how many before had none."""
+    scenes: list[Scene] = []
+    left_out = 0
+    while len(scenes) < spec.params["trials"]:
+        scene = start_scene(case, spec.seed + len(scenes) + left_out)
+        if scene is None:
+            left_out += 1
+        else:
+            scenes.append(scene)
+    return scenes, left_out
+
+
 def devices(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
-    """Run trials of a cell on the stepped bench: devices, rendered images, tracker, interlock."""
+    """Run trials of a cell on the stepped bench: devices, rendered images, tracker, interlock.
+
+    The seeds are those that ``stack`` counts: towers that carry nothing are left out here, too.
+    """
     p = spec.params
     (source,) = spec.inputs
     request = StackRequest(
@@ -215,11 +223,11 @@ def devices(spec: JobSpec, place: Workplace) -> Mapping[str, Any]:
             ends.append(fact)
 
     # A fault ends a run: each trial is a run of its own, so that all of them count.
-    for trial in range(request.trials):
+    for scene in _counted(_case(p), spec)[0]:
         session = simulated_session(SimulatedBenchChoice(given=_bench(p)), keep=Keep(None))
         session.hub.subscribe(note)
         try:
-            session.run(replace(request, seed=spec.seed + trial, trials=1))
+            session.run(replace(request, seed=scene.seed, trials=1))
         finally:
             session.close()
     return {
@@ -269,6 +277,10 @@ def _rounded(values: FloatArray | NDArray[np.float32], digits: int = 3) -> list[
 
 def _rms(values: FloatArray) -> float:
     return round(float(np.sqrt(np.mean(values**2))), 5)
+
+
+def _case(params: Mapping[str, Any]) -> Case:
+    return Case.of(load_catalogue(), params["piece"], tuple(params["bottoms"]), _bench(params))
 
 
 def _bench(params: Mapping[str, Any]) -> SimulationSettings:

@@ -137,9 +137,9 @@ class Recipe:
             trials=self.scale.trials,
         )
 
-    def devices(self, piece: str, bottom: str) -> JobSpec | None:
+    def devices(self, piece: str, bottoms: tuple[str, ...]) -> JobSpec | None:
         """Return the first trials of a cell on the stepped bench; None if there are to be none."""
-        cell = self.stacking(piece, (bottom,), "paper")
+        cell = self.stacking(piece, bottoms, "paper")
         if cell is None or not self.scale.repeated:
             return None
         params = {**cell.params, "trials": self.scale.repeated}
@@ -179,7 +179,7 @@ class Recipe:
             for bottom in BOTTOMS:
                 cells += [self.stacking(piece, (bottom,), s) for s in ("pick-and-place", "paper")]
             cells.append(self.stacking(piece, TWO, "paper"))
-            cells += [self.devices(piece, bottom) for bottom in BOTTOMS]
+            cells += [self.devices(piece, tower) for tower in (*((b,) for b in BOTTOMS), TWO)]
             yield from (cell for cell in cells if cell is not None)
 
     def _source(self, piece: str, model: str) -> str | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,14 +10,11 @@ from backend.config.simulation import SimulationSettings
 from backend.core.faults import InputError
 from backend.core.flow import FloatArray
 from backend.objects.catalogue import Catalogue, Piece
+from backend.objects.leaning import draw_tower, placeable
 from backend.objects.starts import draw_offset, draw_start
 from backend.objects.tower import Tower, judge
 from backend.simulation.scene import Scene
 
-LEAN_MM = 6.0
-"""An upper bottom stands off the lower one by 0 to this, uniformly, in any direction."""
-PLACES_MM = 2.0
-"""Pitch of the places at which a stable position of the piece is looked for."""
 _START, _DISPLACEMENT = 77, 78
 
 
@@ -41,44 +37,18 @@ class Case:
         """Look the names up; raises ``InputError``."""
         return cls(catalogue.top(piece), tuple(map(catalogue.bottom, bottoms)), settings)
 
-    def tower(self, rng: np.random.Generator) -> Tower:
-        """Stand the bottoms on each other, the upper ones leaning; raises ``InputError``."""
-        tower = Tower((self.bottoms[0].body(),))
-        for piece in self.bottoms[1:]:
-            x, y = tower.bodies[-1].at_mm
-            reach, angle = rng.uniform(0.0, LEAN_MM), rng.uniform(0.0, 2.0 * math.pi)
-            at = (x + reach * math.cos(angle), y + reach * math.sin(angle))
-            tower = tower.with_top(piece.body(at))
-        return tower
-
 
 def start_scene(case: Case, seed: int) -> Scene | None:
     """Return the scene of one trial, started unstable; None if nothing can be placed there.
 
-    A single bottom gives the scene that the device loop makes of the same seed.
+    The device loop makes the same scene of the same seed.
     """
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, _START])))
-    tower = case.tower(rng)
+    tower = draw_tower(rng, case.bottoms)
     if len(case.bottoms) > 1 and not placeable(case.piece, tower):
         return None
     start = draw_start(rng, case.piece.body(), tower)
     return Scene(case.piece, tower, start, seed, case.settings)
-
-
-def placeable(piece: Piece, tower: Tower) -> bool:
-    """Whether the tower stands, and would with ``piece`` at some place of a coarse grid."""
-    if not judge(tower).stands:
-        return False
-    carrier = tower.bodies[-1]
-    if carrier.upper is None:
-        return False
-    reach = max(carrier.upper.half_extents_mm)
-    steps = PLACES_MM * np.arange(-(reach // PLACES_MM), reach // PLACES_MM + 1)
-    places = sorted(((x, y) for x in steps for y in steps), key=lambda p: math.hypot(*p))
-    return any(
-        judge(tower.with_top(piece.body((carrier.at_mm[0] + x, carrier.at_mm[1] + y)))).stands
-        for x, y in places
-    )
 
 
 def probing_scene(case: Case, seed: int) -> Scene:

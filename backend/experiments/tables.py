@@ -123,8 +123,8 @@ def _table3(recipe: Recipe, store: JobStore) -> list[Json]:
             cell = _cell(piece, "+".join(bottoms), spec, share)
             if answer:
                 cell |= stacking_cell(answer["trials"]) | {"left_out": answer["left_out"]}
-                if strategy == "paper" and tower == "one":
-                    again = _answer(recipe.devices(piece, bottom), store)
+                if strategy == "paper":
+                    again = _answer(recipe.devices(piece, bottoms), store)
                     cell["devices"] = again and agreement(answer["trials"], again["trials"])
             cells.append(cell)
         done = [cell for cell in cells if "outcomes" in cell]

@@ -29,7 +29,7 @@ from backend.experiments.recipes import (
     Recipe,
     Scale,
 )
-from backend.experiments.scenes import LEAN_MM, Case, balanced_offset, start_scene
+from backend.experiments.scenes import Case, balanced_offset, start_scene
 from backend.experiments.tables import agreement
 from backend.experiments.writing import DATA, PAGE, write_tables
 from backend.jobs.campaign import run_campaign
@@ -38,6 +38,7 @@ from backend.jobs.running import run_job
 from backend.jobs.spec import JobSpec
 from backend.jobs.store import SPEC, JobStore
 from backend.objects.catalogue import load_catalogue
+from backend.objects.leaning import LEAN_MM
 from backend.runs.requests import SceneChoice
 
 HARD = SimulationSettings.model_validate({"preset": "hard"})
@@ -53,7 +54,7 @@ def test_full_has_the_papers_counts() -> None:
         "twins": 1,
         "static": 6,
         "stack": 15,
-        "devices": 6,
+        "devices": 9,
     }
     collected = [spec.params["episodes"] for spec in jobs if spec.kind == "simulate"]
     assert collected == [2000] * 9
@@ -117,10 +118,11 @@ def test_a_balanced_sample_is_what_it_says(stable: bool) -> None:
     assert np.hypot(*places.T).std() > 1.0
 
 
-def test_a_trial_starts_where_the_devices_would_start_it() -> None:
+@pytest.mark.parametrize("bottoms", [("short",), ("short", "long"), ("short", "rect12x28")])
+def test_a_trial_starts_where_the_devices_would_start_it(bottoms: tuple[str, ...]) -> None:
     catalogue = load_catalogue()
-    case = Case.of(catalogue, "pot", ("short",), HARD)
-    theirs = make_scene(catalogue, SceneChoice("pot", ("short",), 4), HARD)
+    case = Case.of(catalogue, "pot", bottoms, HARD)
+    theirs = make_scene(catalogue, SceneChoice("pot", bottoms, 4), HARD)
     mine = start_scene(case, 4)
     assert mine is not None
     assert mine.start_mm == theirs.start_mm
@@ -208,7 +210,7 @@ def test_trials_are_repeated_on_the_devices_with_the_same_model(tmp_path: Path) 
     models = adopt_models(store, *models_that_ship("mixed"))
     only = {("pot", "FT+Tac"): models["pot", "FT+Tac"]}
     recipe = Recipe(replace(QUICK, trials=1, repeated=1), HARD, "1", only, ("pot",))
-    cells = [recipe.stacking("pot", ("short",), "paper"), recipe.devices("pot", "short")]
+    cells = [recipe.stacking("pot", ("short",), "paper"), recipe.devices("pot", ("short",))]
     answers = []
     for cell in cells:
         assert cell is not None

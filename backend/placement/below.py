@@ -69,7 +69,8 @@ class Below:
         Of each interface that is the distance to the nearest edge, negative outside; the overlap
         of two convex faces has no other edges than theirs.
         """
-        return np.stack([self._least(centre_mm, draw) for draw in _draws(len(self.offset_mm))])
+        draws = normal_draws(len(self.offset_mm))
+        return np.stack([self._least(centre_mm, draw) for draw in draws])
 
     def _least(self, centre_mm: FloatArray, draw: FloatArray) -> FloatArray:
         """Return (...,) for one tower; ``draw`` (joints, 2) standard normal."""
@@ -98,7 +99,7 @@ def _places(steps: FloatArray) -> FloatArray:
 
 
 @lru_cache(maxsize=4)
-def _draws(joints: int) -> FloatArray:
+def normal_draws(joints: int) -> FloatArray:
     """Return (DRAWS, joints, 2) standard normal places, spread evenly: the same ones every time.
 
     A sunflower on the plane of each joint; joints go through it in a different order.

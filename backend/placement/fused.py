@@ -2,6 +2,7 @@
 
 It says how far any point lies within the support, as a distribution. Released where the centre of
 mass lies within in all but an accepted share; otherwise a step towards where it would lie deepest.
+On a tower both hold for every interface below as well, as far as its operator knows them.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from backend.learning.fused.checkpoint import FusedCheckpoint, load_fused, shipp
 from backend.learning.fused.forward import FusedForward, Inset
 from backend.learning.fused.summary import TICKS, Face, felt_at
 from backend.placement.belief import Belief
+from backend.placement.lower import Lower, Middle, disc_of, holding, middle_of
 from backend.placement.policy import Aim, give_up, situation, towards
 from backend.placement.stability import support_hull_mm
 from backend.placement.strategy import XY, Conclusion, Held, Touched
@@ -51,6 +53,7 @@ class FusedReasoner:
         self._offset_mm: list[XY] = []
         self._missed_mm: list[XY] = []
         self._last: FloatArray | None = None
+        self._lower: Lower | None = None
 
     def conclude(self, touched: Touched) -> Conclusion:
         """Ask about the place and the map, judge by the accepted risk, choose."""
@@ -66,9 +69,12 @@ class FusedReasoner:
                 False, np.nan, SupportKind.NO_ESTIMATE, np.zeros((0, 2)), centre, "belief"
             )
             return Conclusion(self._belief.map, nothing, give_up(NOTHING))
-        margin_mm = self._at_risk_mm(self._inset(known, np.array([com]), here))
-        cells = self._belief.map.cell_centres_mm() - np.asarray(here)
-        over = self._inset(known, cells.reshape(-1, 2), here)
+        cells = (self._belief.map.cell_centres_mm() - np.asarray(here)).reshape(-1, 2)
+        over = self._inset(known, cells, here)
+        near = np.hypot(*(cells - com).T) <= FARTHEST_MM
+        reached, cells = Inset(*(part[near] for part in over.parts())), cells[near]
+        middle = self._note_middle(reached, cells + here)
+        margin_mm = self._margin_mm(self._inset(known, np.array([com]), here), centre)
         shown = self._shown(over)
         stability = Stability(
             margin_mm >= settings.fused.inset_mm,
@@ -78,7 +84,8 @@ class FusedReasoner:
             centre,
             "belief",
         )
-        action = self._choose(stability, deepest(over, cells, com), here)
+        target = deepest(self._expected_mm(reached, cells + here), cells - com)
+        action = self._choose(stability, target, middle)
         return Conclusion(shown, stability, action)
 
     def inset_at(self, offset_mm: XY) -> Inset | None:
@@ -115,12 +122,21 @@ class FusedReasoner:
     def stable_at(self, offset_mm: XY) -> bool:
         """Ask about another place of the face."""
         inset = self.inset_at(offset_mm)
-        return inset is not None and self._at_risk_mm(inset) >= self._settings.fused.inset_mm
+        if inset is None:
+            return False
+        margin_mm = self._margin_mm(inset, self._com_at(offset_mm))
+        return margin_mm >= self._settings.fused.inset_mm
 
     def likely_at(self, offset_mm: XY) -> bool:
-        """Whether the centre of mass lies in the support there rather than outside."""
+        """Whether the whole tower would stand there rather than fall."""
         inset = self.inset_at(offset_mm)
-        return inset is not None and bool(inset.exceeds(0.0)[0] > EVEN)
+        if inset is None:
+            return False
+        return bool(holding(inset, self._lower, self._com_at(offset_mm), np.zeros(1))[0] > EVEN)
+
+    def _com_at(self, offset_mm: XY) -> XY:
+        com = self._held.com_xy_mm
+        return offset_mm[0] + com[0], offset_mm[1] + com[1]
 
     def _probes(self) -> int:
         return len(self._belief.visits) + len(self._missed_mm)
@@ -142,18 +158,41 @@ class FusedReasoner:
         away = np.subtract(here, self._offset_mm[0])
         return self._forward.inset(known, points_mm, away)
 
-    def _at_risk_mm(self, inset: Inset) -> float:
-        """Return the inset of one point that is not reached with the accepted risk."""
-        repeated = Inset(*(np.repeat(v, len(STEPS_MM), axis=0) for v in inset.parts()))
-        reached = repeated.exceeds(STEPS_MM)
-        kept = np.flatnonzero(reached >= 1.0 - self._settings.fused.risk)
+    def _note_middle(self, over: Inset, places_mm: FloatArray) -> Middle:
+        """Return the middle of the touched face, frame of the map; keep what lies below it.
+
+        ``places_mm`` (n, 2), likewise: of which the network says ``over``.
+        """
+        below = self._held.below
+        face = None if below is None else below.bodies[-1].upper
+        face = face or disc_of(over, self._settings.belief.pitch_mm**2)
+        middle = middle_of(over, places_mm, face)
+        self._lower = None if below is None else Lower(below, middle)
+        return middle
+
+    def _margin_mm(self, top: Inset, centre_mm: XY) -> float:
+        """Return the inset of one place that is not reached with the accepted risk."""
+        holds = holding(top, self._lower, centre_mm, STEPS_MM)
+        kept = np.flatnonzero(holds >= 1.0 - self._settings.fused.risk)
         return float(STEPS_MM[kept[-1]]) if len(kept) else float(STEPS_MM[0])
 
-    def _choose(self, stability: Stability, target: XY, here: XY) -> PlaceAction:
+    def _expected_mm(self, over: Inset, places_mm: FloatArray) -> FloatArray:
+        """Return (n,) how deep the centre of mass is expected to lie in the shallowest interface.
+
+        Over ``places_mm`` (n, 2), frame of the map, of which the network says ``over``.
+        """
+        if self._lower is None:
+            return over.expected_mm()
+        lower = self._lower.insets_mm(places_mm).mean(axis=0)
+        return np.asarray(np.minimum(over.expected_mm(), lower))
+
+    def _choose(self, stability: Stability, target: XY, middle: Middle) -> PlaceAction:
+        here = self._offset_mm[-1]
         policy, required = self._settings.policy, self._settings.fused.inset_mm
         words = situation(stability, required)
         if stability.stable:
-            return PlaceAction("release", (0.0, 0.0), None, False, f"{words}: release.")
+            why = f"{words}: release. {middle.standing(here)}"
+            return PlaceAction("release", (0.0, 0.0), None, False, why)
         probes = self._probes()
         if probes >= policy.max_probes:
             return give_up(f"{words} after {probes} probes, the most allowed: giving up.")
@@ -177,12 +216,10 @@ def network_of(settings: FusedSettings) -> FusedCheckpoint:
     return load_fused(Path(settings.weights)) if settings.weights else shipped_fused()
 
 
-def deepest(over: Inset, cells_mm: FloatArray, com_mm: XY) -> XY:
-    """Return the shift (mm) that brings the centre of mass where it is expected to lie deepest.
+def deepest(expected_mm: FloatArray, shifts_mm: FloatArray) -> XY:
+    """Return the shift that brings the centre of mass where it is expected to lie deepest.
 
-    ``cells_mm`` (ny, nx, 2): the points of ``over``, from the present place of the face.
+    ``expected_mm`` (n,): how deep after each of ``shifts_mm`` (n, 2) from here.
     """
-    shift = cells_mm.reshape(-1, 2) - np.asarray(com_mm)
-    near = np.hypot(shift[:, 0], shift[:, 1]) <= FARTHEST_MM
-    best = int(np.where(near, over.expected_mm(), -np.inf).argmax())
-    return float(shift[best, 0]), float(shift[best, 1])
+    x, y = shifts_mm[int(expected_mm.argmax())]
+    return float(x), float(y)

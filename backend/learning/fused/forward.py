@@ -34,6 +34,11 @@ class Inset:
         """Return (n,) the mean."""
         return np.asarray((self.weight * self.mean_mm).sum(axis=-1))
 
+    def variance_mm2(self) -> FloatArray:
+        """Return (n,) the variance."""
+        squared = (self.weight * (self.mean_mm**2 + self.sd_mm**2)).sum(axis=-1)
+        return np.asarray(squared - self.expected_mm() ** 2)
+
     def parts(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return weight, mean and sd."""
         return self.weight, self.mean_mm, self.sd_mm

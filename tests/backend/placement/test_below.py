@@ -15,7 +15,7 @@ from backend.objects.shapes import circle
 from backend.objects.surface import face_points
 from backend.objects.tower import Tower, judge
 from backend.placement.belief import Belief
-from backend.placement.below import DRAWS, Below, _draws
+from backend.placement.below import DRAWS, Below, normal_draws
 from backend.placement.outline_belief import OutlineBelief
 from backend.placement.steadiest import steadiest_mm
 from backend.placement.strategies import begin
@@ -90,7 +90,7 @@ def test_a_vague_entry_leaves_towers_that_would_fall(catalogue: Catalogue) -> No
 
 
 def test_draws_are_standard_normal_and_joints_differ() -> None:
-    draws = _draws(2)
+    draws = normal_draws(2)
     assert draws.mean(axis=0) == pytest.approx(0.0, abs=0.15)
     assert draws.std(axis=0) == pytest.approx(1.0, abs=0.15)
     assert abs((draws[:, 0] * draws[:, 1]).mean()) < 0.2

@@ -15,12 +15,12 @@ from backend.config.simulation import load_simulation
 from backend.core.faults import InputError
 from backend.core.flow import ContactPatch
 from backend.learning.fused.checkpoint import shipped_fused
-from backend.learning.fused.forward import Inset
 from backend.learning.fused.summary import felt_at
 from backend.objects.catalogue import load_catalogue
 from backend.objects.shapes import circle
 from backend.objects.surface import face_points
-from backend.objects.tower import Body, Tower
+from backend.objects.tower import Body, Tower, judge
+from backend.placement.below import Below
 from backend.placement.fused import FusedReasoner, deepest
 from backend.placement.strategies import begin
 from backend.placement.strategy import (
@@ -159,12 +159,39 @@ def test_a_place_without_contact_sends_it_half_way_back(presses: list[Presses]) 
         assert action.step_mm == pytest.approx((-way, 0.0))
 
 
+def test_on_a_leaning_tower_it_neither_lets_go_nor_aims_where_the_lower_bottom_tips(
+    presses: list[Presses],
+) -> None:
+    """The same presses; under the disc of 24 mm a narrow one stands far to its left."""
+    disc, narrow = circle(24.0), circle(14.0)
+    low = Body("low", narrow, narrow, 20.0, 30.0, 10.0)
+    touched = Body("disc", disc, disc, 20.0, 10.0, 10.0)
+    tower = Below((low, touched), ((5.0, 0.0),), 0.5, piece_g=15.0)
+    bold = StackSettings(belief=SMALL, fused=FusedSettings(risk=0.4, inset_mm=0.0))
+    alone, found = concluded(presses, 0, bold)
+    assert found[-1].action.kind == "release"
+    wary, leaning = concluded(presses, 0, bold, replace(HELD, below=tower))
+    assert leaning[-1].action.kind == "shift"
+    assert leaning[-1].action.target_mm is not None
+    true = presses[-1].true_mm[0] - PLACES[-1]
+    middle: XY = (-float(true[0]), -float(true[1]))
+    for at_mm, falls in ((4.0, True), (-4.0, False)):
+        at = middle[0] + at_mm, middle[1]
+        # The exact judge of the tower that was entered, with the piece there.
+        bodies = (low, replace(touched, at_mm=(5.0, 0.0)))
+        piece = load_catalogue().top("pot").body((5.0 + at_mm, 0.0))
+        assert judge(Tower((*bodies, piece))).stands is not falls
+        assert alone.likely_at(at)
+        assert wary.likely_at(at) is not falls
+    assert leaning[-1].action.target_mm[0] < middle[0]
+
+
 def test_it_goes_where_the_centre_of_mass_lies_deepest() -> None:
     cells = np.stack(np.meshgrid(np.arange(-3.0, 4.0), np.arange(-3.0, 4.0)), axis=-1)
-    inset = 5.0 - np.hypot(cells[..., 0] - 2.0, cells[..., 1] + 1.0).reshape(-1, 1)
-    over = Inset(np.ones_like(inset), inset, np.ones_like(inset))
-    assert deepest(over, cells, (0.0, 0.0)) == (2.0, -1.0)
-    assert deepest(over, cells, (1.0, 0.0)) == (1.0, -1.0)
+    cells = cells.reshape(-1, 2)
+    inset = 5.0 - np.hypot(*(cells - (2.0, -1.0)).T)
+    assert deepest(inset, cells) == (2.0, -1.0)
+    assert deepest(inset, cells - (1.0, 0.0)) == (1.0, -1.0)
 
 
 def test_the_network_that_ships_says_what_it_was_made_from() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from backend.config.method import PolicySettings, StackSettings
+from backend.config.method import FusedSettings, PolicySettings, StackSettings, TowerSettings
 from backend.core.facts import (
     ActionChosen,
     ApprovalAwaited,
@@ -274,6 +274,25 @@ def test_stacks_on_a_tower_of_two() -> None:
     bench = OracleSession()
     bench.session.run(request(piece="barrel", bottoms=("short", "long"), seed=5))
     assert last_trial(bench).outcome is Outcome.PLACED
+
+
+@pytest.mark.parametrize(("lean_mm", "carried"), [(0.0, True), (30.0, False)])
+def test_learned_fusion_lets_go_on_a_tower_only_where_the_entry_carries_it(
+    lean_mm: float, carried: bool
+) -> None:
+    """Ready to let go of anything that the touched face might carry, it still asks the entry."""
+    changes = {
+        "policy": PolicySettings(max_probes=1),
+        "fused": FusedSettings(risk=0.999, inset_mm=0.0),
+        "tower": TowerSettings(offset_mm=((lean_mm, 0.0),), sigma_mm=1.0),
+    }
+    bench = OracleSession(method=brisk_method().model_copy(update=changes))
+    bench.session.run(request(bottoms=("short", "long"), strategy="fused"))
+    assert len(bench.of(ActionChosen)) == 1
+    assert bool(bench.of(Released)) is carried
+    if not carried:
+        assert last_trial(bench).outcome is Outcome.GAVE_UP
+        assert bench.benches[-1].gripper.status().holding
 
 
 def test_a_verdict_that_comes_too_late_is_not_acted_on(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,6 +22,9 @@ TITLES = {
     "long": "Long",
     "hex20": "hexagon",
     "rect12x28": "long rectangle",
+    "short+long": "Long on Short",
+    "short+hex20": "hexagon on Short",
+    "short+rect12x28": "long rectangle on Short",
 }
 KINDS = {
     ", rather stable than not": "likely",
@@ -52,10 +55,11 @@ def _loop(name: str, cells: list[Json]) -> str:
         outcomes.update(cell["outcomes"])
     trials, placed = outcomes.total(), outcomes["placed"]
     unsafe = outcomes["fell"] + outcomes["knocked_over"]
-    probes = sum(c["probes"] * c["outcomes"]["placed"] for c in cells if c["probes"]) / placed
+    spent = sum(c["probes"] * c["outcomes"]["placed"] for c in cells if c["probes"])
+    probes = f"{spent / placed:.1f}" if placed else "–"
     counts = " / ".join(str(outcomes[word]) for word in WORDS)
     shares = f"{_share(placed, trials)} | {_share(unsafe, trials)}"
-    return f"| {name} | {trials} | {shares} | {counts} | {probes:.1f} |"
+    return f"| {name} | {trials} | {shares} | {counts} | {probes} |"
 
 
 def _share(hits: int, trials: int) -> str:

@@ -56,7 +56,7 @@ def _loop(name: str, cells: list[Json]) -> str:
     trials, placed = outcomes.total(), outcomes["placed"]
     unsafe = outcomes["fell"] + outcomes["knocked_over"]
     spent = sum(c["probes"] * c["outcomes"]["placed"] for c in cells if c["probes"])
-    probes = f"{spent / placed:.1f}" if placed else "–"
+    probes = f"{spent / placed:.1f}" if placed else "-"
     counts = " / ".join(str(outcomes[word]) for word in WORDS)
     shares = f"{_share(placed, trials)} | {_share(unsafe, trials)}"
     return f"| {name} | {trials} | {shares} | {counts} | {probes} |"

@@ -12,7 +12,7 @@ from widgets.last_probe_panel import ProbeWords
 def words_of(held: Held | None, *, asking: bool, running: bool, back: bool) -> ProbeWords:
     """Return a probe in words. ``back``: an older one is looked at, or no run goes on."""
     if held is None:
-        detail = "The first one is on its way." if running else "Start a campaign (F5)."
+        detail = "The first one is on its way." if running else "Press Start collecting (F5)."
         return ProbeWords("No probe yet", detail=detail)
     entry = held.entry
     accepted = entry.quality.accepted
@@ -26,15 +26,20 @@ def words_of(held: Held | None, *, asking: bool, running: bool, back: bool) -> P
     return ProbeWords(
         verdict,
         tone,
-        f"x, y {pair_words(held.offset_mm, 2, ' mm')}, item {_item(held)}, {entry.uuid[-8:]}",
+        f"{_where(held)}, {entry.uuid[-8:]}",
         _detail(held, back=back, running=running),
         asking,
         _allowed(held, live=running and not back),
     )
 
 
-def _item(held: Held) -> str:
-    return "none" if held.entry.plan_item is None else str(held.entry.plan_item + 1)
+def _where(held: Held) -> str:
+    """Say the displacement, if it is known, and the item of the plan, if there was one."""
+    at = f"x, y {pair_words(held.offset_mm, 2, ' mm')}"
+    if not np.isfinite(held.offset_mm).all():
+        at = "No displacement"
+    item = held.entry.plan_item
+    return f"{at}, no plan" if item is None else f"{at}, item {item + 1}"
 
 
 def _detail(held: Held, *, back: bool, running: bool) -> str:

@@ -192,7 +192,7 @@ class HandPresenter:
             )
         if not note and any(room.why == "TURN-LOW" for room in rooms.values()):
             clear_mm = self._link.interlock.limits.turn_clear_mm
-            note = f"The hand turns from {clear_mm:.0f} mm above the surface on: jog +Z first"
+            note = f"To turn, the face must be {clear_mm:.0f} mm off the surface: jog +Z"
         if slow and hand.jog.state.order is not None:
             note = f"{self._jog_speed(hand)}: {slow}"
         age_s = max(self._link.clock_s() - t_s, 0.0)

@@ -15,6 +15,7 @@ from backend.verbs.qt_libraries import missing_libraries, packages_for
 
 QT_INSTALL = 'pip install --force-reinstall "PySide6-Essentials>=6.8,!=6.9.1,<6.12"'
 CHILD_LIMIT_S = 60
+BUSY = "Nothing may be wrong: this computer was too busy to tell. Close what else runs, ask again."
 
 
 def installed(name: str) -> str | None:
@@ -85,9 +86,11 @@ def check_qt_platform() -> Check:
         "sys.stdout.write(QApplication([]).platformName())\n"
     )
     done = _child(code, {"QT_QPA_PLATFORM": "offscreen"})
-    if done is not None and done.returncode == 0:
+    if done is None:
+        return _unanswered("qt platform")
+    if done.returncode == 0:
         return Check("qt platform", True, f"{done.stdout.strip()} plugin starts")
-    tail = "no answer" if done is None else (done.stderr.strip().splitlines() or ["aborted"])[-1]
+    tail = (done.stderr.strip().splitlines() or ["aborted"])[-1]
     return Check("qt platform", False, tail, "See 'qt' and 'qt libraries' above.")
 
 
@@ -117,7 +120,9 @@ def check_torch() -> Check:
         "json.dump([torch.__version__, torch.get_num_threads(), gpu], sys.stdout)\n"
     )
     done = _child(code, {})
-    if done is None or done.returncode != 0:
+    if done is None:
+        return _unanswered("torch")
+    if done.returncode != 0:
         return Check("torch", False, "cannot be imported", "pip install --force-reinstall torch")
     release, threads, gpu = json.loads(done.stdout)
     where = f"GPU: {gpu}" if gpu else f"CPU, {threads} threads"
@@ -152,7 +157,12 @@ def check_mujoco() -> Check:
     return Check("mujoco", True, "not installed (optional)", 'pip install "touchdown[mujoco]"')
 
 
+def _unanswered(name: str) -> Check:
+    return Check(name, False, f"no answer within {CHILD_LIMIT_S} s", BUSY)
+
+
 def _child(code: str, extra: dict[str, str]) -> subprocess.CompletedProcess[str] | None:
+    """Run ``code`` in an interpreter of its own; None if it has not ended within the limit."""
     try:
         return subprocess.run(
             [sys.executable, "-c", code],
@@ -162,5 +172,5 @@ def _child(code: str, extra: dict[str, str]) -> subprocess.CompletedProcess[str]
             check=False,
             env={**os.environ, **extra},
         )
-    except (OSError, subprocess.TimeoutExpired):
+    except subprocess.TimeoutExpired:
         return None

@@ -93,6 +93,6 @@ def _examine(look: Examine) -> Check:
     name = look.__name__.removeprefix("check_").replace("_", " ")
     try:
         return look()
-    except ImportError as error:
+    except (ImportError, OSError) as error:
         # A damaged installation is what doctor is for: it must not end there.
         return Check(name, False, f"cannot be examined: {error}", "make setup")

@@ -130,6 +130,16 @@ def test_good_packages_are_good(monkeypatch):
     assert check_packages.check_opencv().ok
 
 
+@pytest.mark.parametrize("look", [check_packages.check_torch, check_packages.check_qt_platform])
+def test_a_computer_too_busy_to_answer_is_not_told_to_install_anew(monkeypatch, look):
+    monkeypatch.setattr(check_packages, "CHILD_LIMIT_S", 0)
+    check = look()
+    assert not check.ok
+    assert "no answer within 0 s" in check.detail
+    assert "busy" in check.fix
+    assert "install" not in check.fix
+
+
 LDD = """libqxcb.so:
 \tlinux-vdso.so.1 (0x00007ffd)
 \tlibxcb-cursor.so.0 => not found

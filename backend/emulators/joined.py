@@ -1,7 +1,9 @@
 """All emulated devices around one simulated scene: the arm carries, sensors feel, jaws hold.
 
 The world follows the joints of the emulated controller in real time. The arm itself is stiff: where
-it gives way, the driver's law makes it.
+it gives way, the driver's law makes it. A world that the computer leaves behind takes the arm where
+it was at the time of each cycle, and its sensor tells nothing until then: what is felt comes late,
+but never of another time than its stamp says.
 """
 
 from __future__ import annotations
@@ -17,7 +19,9 @@ from backend.config.method import ProbeSettings
 from backend.core.faults import Fault
 from backend.core.flow import FINGERS, Finger, FloatArray, ImageArray
 from backend.core.turning import LEVEL_RAD, UNTURNED, vector_of
+from backend.emulators.dynpick import EmulatedDynpick
 from backend.emulators.faults import Faults
+from backend.emulators.loads import suffering
 from backend.emulators.melfa import EmulatedMelfa
 from backend.emulators.melfa_arm import frame_of, solve
 from backend.emulators.melfa_controller import READY_RAD
@@ -53,7 +57,6 @@ class JoinedScene:
         self.melfa.controller.force_n = lambda: self.frame.in_base(self._felt[1][-1, :3])
         self._zero_s = 0.0
         self._felt: tuple[float, FloatArray] = (0.0, np.zeros((1, 6)))
-        self._rng = np.random.default_rng(scene.seed)
         self._pictures: dict[Finger, ImageArray] = {}
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
@@ -76,28 +79,23 @@ class JoinedScene:
             self._thread.join()
 
     @property
-    def turn(self) -> FloatArray:
-        """How the emulated arm has its hand turned now, (3, 3) in the bench."""
-        return self.frame.turn(self.melfa.controller.joints.true_rad.copy())
+    def told_until_s(self) -> float:
+        """Until when (monotonic) the sensor has its samples: the world has come so far."""
+        return self._zero_s + self._felt[0] + LATENCY_S
 
-    @property
-    def pivot_mm(self) -> FloatArray:
-        """Where the emulated arm has ``G`` now, (3,) mm in the bench."""
-        return self.frame.pivot_mm(self.melfa.controller.joints.true_rad.copy())
+    def joints_rad(self, world_s: float) -> FloatArray:
+        """Return (6,) where the joints of the emulated arm were at a time of the world."""
+        return self.melfa.controller.joints_at(self._zero_s + world_s)
 
     def wrench(self, now_s: float) -> tuple[float, ...]:
         """Return what the wrist felt ``LATENCY_S`` before ``now_s`` (monotonic), N and N·m.
 
-        A world that is late has the newest sample once more, with the noise of another one.
+        The newest sample there is, if the world has not come so far.
         """
         newest_s, rows = self._felt
-        wrist = self._scene.settings.wrist
-        behind = round((newest_s - (now_s - self._zero_s - LATENCY_S)) * wrist.rate_hz)
-        row = rows[max(-1 - behind, -len(rows))] if behind >= 0 else rows[-1]
-        if behind < 0:
-            white = np.repeat([wrist.white_n, wrist.white_nm], 3)
-            row = row + white * self._rng.standard_normal(6)
-        return tuple(row.tolist())
+        rate_hz = self._scene.settings.wrist.rate_hz
+        behind = round((newest_s - (now_s - self._zero_s - LATENCY_S)) * rate_hz)
+        return tuple(rows[max(-1 - max(behind, 0), -len(rows))].tolist())
 
     def picture(self, finger: Finger) -> ImageArray | None:
         """Return the newest picture of a finger; None if it was given already."""
@@ -126,10 +124,15 @@ class JoinedScene:
             if wait_s > 0.0:
                 self._stop.wait(wait_s)
             elif wait_s < -BEHIND_S:
-                self._zero_s -= wait_s
-                self.late += round(-1e6 * wait_s / self.world.cycle_us)
+                self._give_up(-wait_s)
             else:
                 self.step()
+
+    def _give_up(self, behind_s: float) -> None:
+        """Leave out so much time; no sample from before it is told of it."""
+        self._felt = (self._felt[0], self._felt[1][-1:])
+        self._zero_s += behind_s
+        self.late += round(1e6 * behind_s / self.world.cycle_us)
 
 
 class BenchFrame:
@@ -184,20 +187,31 @@ class Carried:
 
     def __init__(self, joined: JoinedScene) -> None:
         self._joined = joined
-
-    @property
-    def turn(self) -> FloatArray:
+        self.turn: FloatArray = UNTURNED
         """The hand is turned as that of the emulated arm."""
-        return self._joined.turn
 
     def next_mm(self, command_mm: FloatArray, cycle: Cycle) -> FloatArray:
-        """Return where the arm is; a descent begins the next probe."""
-        here, holding = self._joined.pivot_mm, self._joined.world.holding
+        """Return where the arm was at the end of ``cycle``; a descent begins the next probe."""
+        joints_rad, frame = self._joined.joints_rad(cycle.end_s), self._joined.frame
+        here, holding = frame.pivot_mm(joints_rad), self._joined.world.holding
+        self.turn = frame.turn(joints_rad)
         if holding is not None and not holding.sensed and here[2] < command_mm[2]:
             height = float(here[2]) - holding.touch_height_mm
             if CONTACT_MM < height < NEXT_PROBE_MM:
                 holding.begin_probe(ProbeSettings(stiffness_n_mm=(STIFF_N_MM,) * 3))
         return here
+
+
+class JoinedDynpick(EmulatedDynpick):
+    """The emulated wrist sensor of the scene: it tells of no time that the world has not seen."""
+
+    def __init__(self, joined: JoinedScene, faults: Faults | None = None) -> None:
+        super().__init__(suffering(joined.wrench, faults or Faults("force_torque")))
+        self._joined = joined
+
+    def due(self, now_s: float) -> bytes:
+        """Return the records of the stream as far as the world has come."""
+        return super().due(min(now_s, self._joined.told_until_s))
 
 
 class JoinedWsg(EmulatedWsg):

@@ -9,12 +9,10 @@ from pathlib import Path
 
 from backend.config.hardware import HardwareSettings
 from backend.core.flow import FINGERS, Finger
-from backend.emulators.dynpick import EmulatedDynpick
 from backend.emulators.faults import FaultPlan, Faults
 from backend.emulators.front import Front, PtyFront, TcpFront
 from backend.emulators.gelsight import GelsightFront
-from backend.emulators.joined import LATENCY_S, JoinedScene, JoinedWsg
-from backend.emulators.loads import suffering
+from backend.emulators.joined import LATENCY_S, JoinedDynpick, JoinedScene, JoinedWsg
 from backend.emulators.melfa import TIMEOUT_CYCLES, MelfaFront
 from backend.emulators.serving import Emulation, bench_toml, camera_tables, melfa_tables
 from backend.simulation.scene import Scene
@@ -93,7 +91,7 @@ def lab_toml(scene: Scene, emulation: Emulation) -> str:
 
 
 def _sensor(joined: JoinedScene, folder: Path, faults: Faults, host: str) -> Front:
-    device = EmulatedDynpick(suffering(joined.wrench, faults))
+    device = JoinedDynpick(joined, faults)
     if sys.platform == "win32":
         return TcpFront(device, host, faults=faults)
     return PtyFront(device, faults=faults, link=folder / "force_torque")

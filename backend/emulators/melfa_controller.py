@@ -6,6 +6,8 @@ Time moves by ``advance``; between two calls nothing happens. Errors stop all mo
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -29,6 +31,8 @@ READY_RAD = np.radians([0.0, 20.0, 100.0, 0.0, 60.0, 0.0])
 """Where it stands when it is switched on: the hand points down."""
 STREAM, PROBE, IDLE = "stream", "probe", ""
 JOINT, STRAIGHT, TOOL = 0, 1, 2
+PAST = 300
+"""Cycles whose joints are remembered: somewhat more than a second."""
 
 
 class RefusedCommandError(Exception):
@@ -70,6 +74,7 @@ class EmulatedController:
         self.settings = settings
         start = READY_RAD if start_rad is None else start_rad
         self.joints = Joints(start, CYCLE_S, 1e-3 * settings.arm_lag_ms)
+        self._past: deque[tuple[float, FloatArray]] = deque(maxlen=PAST)
         self.now_s = 0.0
         self._begun_s: float | None = None
         self._cycles = 0
@@ -134,6 +139,19 @@ class EmulatedController:
         if self._probe is not None:
             self._follow_probe(self._probe)
         self.joints.cycle()
+        self._past.append((self.now_s, self.joints.true_rad))
+
+    def joints_at(self, t_s: float) -> FloatArray:
+        """Return (6,) where the joints were then, between two cycles; at most where they are."""
+        past = list(self._past)
+        if not past or t_s >= past[-1][0]:
+            return self.joints.true_rad
+        after = bisect_left(past, t_s, key=lambda cycle: cycle[0])
+        if after == 0:
+            return past[0][1]
+        (start_s, start_rad), (end_s, end_rad) = past[after - 1 : after + 1]
+        share = (t_s - start_s) / (end_s - start_s)
+        return np.asarray(start_rad + share * (end_rad - start_rad))
 
     # -- orders -----------------------------------------------------------------------------------
 

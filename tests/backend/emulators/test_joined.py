@@ -6,11 +6,19 @@ import pytest
 from backend.assembly import SimulatedBenchChoice, make_scene
 from backend.config.hardware import HardwareSettings
 from backend.devices.melfa.orders import Orders
-from backend.emulators.joined import LATENCY_S, BenchFrame, JoinedScene, JoinedWsg
+from backend.emulators.dynpick import SENSITIVITY
+from backend.emulators.joined import (
+    LATENCY_S,
+    BenchFrame,
+    JoinedDynpick,
+    JoinedScene,
+    JoinedWsg,
+)
 from backend.emulators.melfa_controller import READY_RAD
 from backend.objects.catalogue import load_catalogue
 from backend.runs.requests import SceneChoice
-from backend.wire import wsg_binary
+from backend.wire import dynpick, wsg_binary
+from backend.wire.dynpick import Command
 
 MELFA = HardwareSettings().melfa
 
@@ -81,7 +89,7 @@ def test_the_piece_is_taken_with_its_weight_and_let_go(bench):
 def test_the_world_goes_where_the_joints_are_and_a_descent_is_a_probe(bench):
     bench.held()
     world, touch_mm = bench.joined.world, bench.joined.world.holding.touch_height_mm
-    place = bench.joined.pivot_mm.copy()
+    place = world.drive.command_mm
     for height_mm in np.arange(place[2] - 0.05, touch_mm - 0.3, -0.05):
         place[2] = height_mm
         bench.joined.melfa.controller.joints.true_rad = bench.joined.frame.joints(place)
@@ -90,6 +98,56 @@ def test_the_world_goes_where_the_joints_are_and_a_descent_is_a_probe(bench):
     assert world.holding.probe == 1
     assert world.holding.press_n > 1.0
     assert bench.felt_n() > -14.7 + world.holding.weight_g[2]
+
+
+def test_a_late_world_is_felt_late_and_not_otherwise(bench):
+    """No sample is made up while the world is behind; afterwards all of them come, none changed."""
+    joined, sensor = bench.joined, JoinedDynpick(bench.joined)
+    bench.pass_time(0.1)
+    told, felt = dynpick.records(), []
+    step = joined.world.step
+    joined.world.step = lambda: felt.append(step()) or felt[-1]
+    sensor.receive(0.1 + LATENCY_S, Command.START.value)
+
+    def records(now_s):
+        return [r.counts for r in told.feed(sensor.due(now_s + LATENCY_S))]
+
+    assert len(records(0.1)) == 1
+    assert records(0.17) == []
+    for _ in range(7):
+        joined.step()
+    late = records(0.17)
+    exact = np.concatenate([sensed.wrench for sensed in felt]) * SENSITIVITY + dynpick.ZERO_COUNT
+    assert late == [tuple(row) for row in exact.round().astype(int).tolist()]
+
+
+def test_time_that_is_given_up_is_told_with_no_older_sample(bench):
+    """The same record again and again: the driver knows that for no measurement."""
+    bench.pass_time(0.1)
+    joined = bench.joined
+    newest = joined.wrench(0.1 + LATENCY_S)
+    assert joined.wrench(0.05 + LATENCY_S) != newest
+    joined._give_up(0.6)
+    joined.step()
+    assert {joined.wrench(t_s + LATENCY_S) for t_s in np.arange(0.2, 0.69, 0.001)} == {newest}
+    assert joined.wrench(0.71 + LATENCY_S) != newest
+
+
+def test_a_late_world_takes_the_arm_where_it_was_then(bench):
+    bench.held()
+    joined, controller = bench.joined, bench.joined.melfa.controller
+    first_mm, start_s = joined.world.drive.command_mm, 1e-6 * joined.world.now_us
+    controller.advance(start_s)
+    controller.joints.command_rad = joined.frame.joints(first_mm - [0.0, 0.0, 1.0])
+    controller.advance(start_s + 0.1)
+    # The first order of the emulated joints, as the settings say it.
+    away_mm = np.exp(-0.02 / (1e-3 * MELFA.arm_lag_ms))
+    for _ in range(2):
+        joined.step()
+    assert joined.world.drive.command_mm[2] == pytest.approx(first_mm[2] - 1.0 + away_mm, abs=0.02)
+    for _ in range(8):
+        joined.step()
+    assert joined.world.drive.command_mm[2] == pytest.approx(first_mm[2] - 1.0, abs=1e-3)
 
 
 def test_a_picture_is_given_once(bench):

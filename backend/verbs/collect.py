@@ -267,6 +267,8 @@ def _report(dataset: Dataset, session: Session, told: _Told, screen: Screen) -> 
     left = len(campaign.todo(entries))
     done = campaign.count - left - len(campaign.skipped)
     screen.say(told.ended.reason)
+    more = f"; --resume goes on with the other {left}." if left else "."
+    screen.say(f"{done} of {campaign.count} probes are there{more}")
     screen.say(coverage_text(seen))
     _say_findings(findings, screen)
     screen.say(f"Dataset {dataset.folder}, campaign {campaign.uuid}")

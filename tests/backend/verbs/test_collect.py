@@ -18,18 +18,18 @@ from tests.backend.brisk import RATE_HZ
 def test_a_campaign_is_collected_and_gone_on_with(tmp_path, capsys) -> None:
     bench = tmp_path / "bench.toml"
     bench.write_text(f'preset = "quiet"\n[tactile]\nrate_hz = {RATE_HZ}\n', "utf-8")
-    words = ["--dataset", str(tmp_path / "ds"), "--runs", str(tmp_path / "runs"), "--json"]
+    words = ["--dataset", str(tmp_path / "ds"), "--runs", str(tmp_path / "runs")]
     words += ["--bench", str(bench)]
     given = ["--count", "2", "--probes-per-grip", "2", "--person", "ann"]
-    assert main(["collect", *given, *words, "--inject", "force_torque:stop@14"]) == 1
+    assert main(["collect", *given, *words, "--json", "--inject", "force_torque:stop@14"]) == 1
     first = json.loads(capsys.readouterr().out)
     assert first["ending"] == "failed"
     assert first["faults"]
     assert (first["collected"], first["count"], first["simulated"]) == (1, 2, True)
     assert main(["collect", "--resume", "--person", "bob", *words]) == 0
-    second = json.loads(capsys.readouterr().out)
-    assert second["campaign"] == first["campaign"]
-    assert (second["ending"], second["collected"], second["findings"]) == ("finished", 2, [])
+    second = capsys.readouterr().out
+    for said in (first["campaign"], "2 of 2 probes are there.", "nothing looks wrong"):
+        assert said in second
     with Dataset.open(tmp_path / "ds", write=False) as dataset:
         assert [entry.person for entry in dataset.episodes()] == ["ann", "bob"]
     assert (tmp_path / "runs").is_dir()

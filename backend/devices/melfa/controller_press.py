@@ -15,9 +15,10 @@ from backend.core.flow import FloatArray
 from backend.core.onset import OnsetDetector, OnsetRule
 from backend.devices.motion import CommandedMotion
 from backend.devices.protocols import PressCommand
+from backend.devices.streamed.air_zero import AIR_S
 from backend.devices.streamed.compliance import OLD_S, TRIP_AT_ONCE_N, TRIP_N
 from backend.devices.streamed.motion import ARM, HELD, ArmPress
-from backend.devices.streamed.pressing import AIR_S, TRIPPED, UNFELT, no_contact
+from backend.devices.streamed.pressing import TRIPPED, UNFELT, no_contact
 from backend.devices.streamed.programs import UNLOAD_MM, not_unloaded
 
 WAITS_S, SOON_S = 3.0, 0.3

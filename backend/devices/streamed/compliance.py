@@ -18,15 +18,27 @@ OLD_S = 0.1
 
 
 class Compliance:
-    """Turns a reference and the felt force into a command; forces in N with ``air_n`` as zero."""
+    """Turns a reference and the felt force into a command; forces in N with ``air_n`` as zero.
 
-    def __init__(self, law: Law, loop: Loop, reference_mm: FloatArray, air_n: FloatArray) -> None:
+    ``moved_n`` (3,): how far that zero has moved until the contact. The arm does not give way to
+    it; what is told of the force counts from ``air_n``, as the tare of the run does.
+    """
+
+    def __init__(
+        self,
+        law: Law,
+        loop: Loop,
+        reference_mm: FloatArray,
+        air_n: FloatArray,
+        moved_n: FloatArray | None = None,
+    ) -> None:
         self._loop = loop
         self.law = law
         """May be exchanged in contact: what has been given way stays."""
         self._give = AT_REST
         self._swing = SwingDetector(loop.delay_s)
         self._air_n = air_n.copy()
+        self._moved_n = np.zeros(3) if moved_n is None else moved_n.copy()
         self._felt_n, self._felt_s = np.full(3, math.nan), -math.inf
         self._over_before = False
         self._calmed_s = math.inf
@@ -72,7 +84,7 @@ class Compliance:
 
     def command_mm(self, now_s: float) -> FloatArray:
         """Return the next command (3,)."""
-        self._give = give_way(self.law, self._give, self._felt_n)
+        self._give = give_way(self.law, self._give, self._felt_n - self._moved_n)
         if np.isfinite(self._felt_n).all():
             self._watch_swing(now_s)
         return np.asarray(self.reference_mm + self._give.d_mm)

@@ -21,12 +21,12 @@ from backend.devices.streamed.admittance import (
     Loop,
     law_for,
 )
+from backend.devices.streamed.air_zero import AirZero
 from backend.devices.streamed.compliance import OLD_S, Compliance
 from backend.devices.streamed.motion import ARM, HELD, STOPPED, ArmPress
 from backend.devices.streamed.programs import ACCELERATION_MM_S2, Felt
 from backend.devices.streamed.stiffness import ContactStiffness
 
-AIR_S = 0.2
 SILENT_S = 0.3
 """In contact the arm draws back from what it has not felt for this long."""
 
@@ -50,7 +50,7 @@ class Press:
         self._law, self._loop = law, loop
         self._detector = OnsetDetector(OnsetRule(threshold_n=command.threshold_n))
         t_s, force_n = before
-        self._air_n = force_n[t_s >= t_s[-1] - AIR_S].mean(axis=0)
+        self._air = AirZero(t_s, force_n)
         self._detector.feed(t_s, force_n[:, 2])
         self._felt_s = float(t_s[-1])
         self._speed_mm_s = 0.0
@@ -93,8 +93,9 @@ class Press:
         if self._start_z_mm is None:
             self._start_z_mm = float(felt.command_mm[2])
         self._way.append((felt.now_s, float(felt.command_mm[2])))
-        finite = np.isfinite(felt.force_n[:, 2])
+        finite = np.isfinite(felt.force_n).all(axis=1)
         if finite.any():
+            self._air.feed(felt.t_s[finite], felt.force_n[finite])
             self._detector.feed(felt.t_s[finite], felt.force_n[finite, 2])
             self._felt_s = float(felt.t_s[finite][-1])
         onset_s = self._detector.onset_s
@@ -105,7 +106,9 @@ class Press:
         # The arm was where the command had been a loop delay before, less the sensor's own part.
         lag_s = self._loop.arm_lag_s + self._loop.cycle_s
         self._zero_mm = float(np.interp(onset_s - lag_s, t_s, z_mm))
-        self.compliance = Compliance(self._law, self._loop, felt.command_mm, self._air_n)
+        self.compliance = Compliance(
+            self._law, self._loop, felt.command_mm, self._air.start_n, self._air.moved_n(onset_s)
+        )
         return True
 
     def _descend(self, felt: Felt) -> FloatArray:

@@ -54,6 +54,20 @@ def test_a_press_counts_from_first_touch_and_holds_the_force_of_springs_in_serie
     assert 0.3 <= stiffness_n_mm * (TOUCH_MM - rig.true_mm[2]) <= 2.0
 
 
+def test_what_the_sensor_drifts_on_the_way_down_is_no_force_of_the_contact():
+    rig = ready(8.0)
+    spring = rig.contact
+    drift_n = np.array([0.0, 0.0, 0.7])
+    rig.contact = lambda pivot: spring(pivot) + (drift_n if pivot[2] < TOUCH_MM + 0.9 else 0.0)
+    motion = rig.arm.press(PRESS)
+    finish(rig, motion)
+    motion.result()
+    steady_n = 1.5 * 15.0 * 8.0 / (15.0 + 8.0)
+    assert 8.0 * (TOUCH_MM - rig.true_mm[2]) == pytest.approx(steady_n, abs=0.1)
+    # What is told of the force counts as the tare of a run does, which is from before the descent.
+    assert rig.arm._orders.level.press_n() == pytest.approx(steady_n + 0.7, abs=0.3)
+
+
 def test_a_contact_that_is_too_stiff_is_found_and_calmed():
     """Ten times the stiffness that the damping is made for."""
     rig = ready(300.0)

@@ -1,0 +1,37 @@
+"""How far the air has moved until a contact, from samples of known steps."""
+
+import numpy as np
+import pytest
+
+from backend.devices.streamed.air_zero import AirZero
+
+STEP_N = np.array([0.1, -0.2, 0.3])
+
+
+def descended(until_s, block=7):
+    """Air of one second at 1 kHz, then blocks on the way down; the sensor steps at 1.2 s."""
+    t_s = np.arange(0.0, until_s, 1e-3)
+    force_n = 5.0 + np.where(t_s[:, None] >= 1.2, STEP_N, 0.0)
+    zero = AirZero(t_s[:1000], force_n[:1000])
+    for first in range(1000, len(t_s), block):
+        zero.feed(t_s[first : first + block], force_n[first : first + block])
+    return zero
+
+
+def test_the_air_before_the_onset_counts_and_not_the_contact():
+    assert descended(2.0).moved_n(1.8) == pytest.approx(STEP_N)
+    # From 1.05 to 1.25 s: a quarter of the window is after the step.
+    assert descended(2.0).moved_n(1.3) == pytest.approx(0.25 * STEP_N, abs=0.01)
+    assert descended(1.3).start_n == pytest.approx(np.full(3, 5.0))
+
+
+def test_a_contact_soon_after_the_start_has_the_air_before_it():
+    assert descended(1.1).moved_n(1.05) == pytest.approx(np.zeros(3))
+
+
+def test_with_too_few_samples_nothing_is_said():
+    silent = AirZero(np.array([0.0, 0.001]), np.ones((2, 3)))
+    silent.feed(np.empty(0), np.empty((0, 3)))
+    assert silent.moved_n(5.0) == pytest.approx(np.zeros(3))
+    # What is older than a second is forgotten; its air is not told of a later onset.
+    assert descended(3.5).moved_n(2.0) == pytest.approx(np.zeros(3))

@@ -34,6 +34,8 @@ from backend.simulation.lockstep import Lockstep
 WORLDS: dict[str, type[Lockstep]] = {"bench": Lockstep, "elsewhere": Elsewhere}
 PRESSES_SEED, TRIALS_SEED = 5_000_000, 6_000_000
 GROUPS_A_JOB, PROBES, TRIALS_A_JOB = 10, 3, 2
+STRATEGIES = ("paper", "outlines", "pressure", "fused", "zero-wrench")
+"""What can be asked; the last two read no model of a piece."""
 SLIPPED_MM = 0.02
 """A pad that moved by more than this in one press has slipped."""
 Json = dict[str, Any]
@@ -41,10 +43,14 @@ Json = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where something is asked: a ``world`` (a name of ``WORLDS``) with the settings of a bench."""
+    """Where something is asked: a ``world`` (a name of ``WORLDS``) with the settings of a bench.
+
+    ``first``: number of the first group or trial in each cell.
+    """
 
     world: str
     bench: SimulationSettings
+    first: int = 0
 
 
 def presses_jobs(
@@ -59,7 +65,7 @@ def presses_jobs(
                 "models": dict(models),
                 "groups": min(GROUPS_A_JOB, groups - k),
             },
-            PRESSES_SEED + _cell(pair) + k,
+            PRESSES_SEED + _cell(pair) + place.first + k,
             tuple(sorted(set(models.values()))),
             code,
         )
@@ -83,7 +89,7 @@ def trials_jobs(
                 "trials": min(TRIALS_A_JOB, trials - k),
                 **network,
             },
-            TRIALS_SEED + _cell(pair) + k,
+            TRIALS_SEED + _cell(pair) + place.first + k,
             (strategy[1],),
             code,
         )

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 from backend.config.bench_facts import bench_sha256
 from backend.config.simulation import SimulationSettings
-from backend.experiments.asking import WORLDS, Place, presses_jobs, trials_jobs
+from backend.experiments.asking import STRATEGIES, WORLDS, Place, effort, presses_jobs, trials_jobs
 from backend.experiments.beyond import counted
+from backend.experiments.paired import iou_change, signed
+from backend.experiments.randomised import RandomisedTraining
 from backend.experiments.statistics import Binary, mean
 from backend.experiments.tables import scored
 from backend.jobs.spec import JobSpec
@@ -23,7 +26,9 @@ Json = dict[str, Any]
 class Both:
     """What to ask in both worlds. ``models``: name in the tables to the job or file it comes from.
 
-    Strategies read the first of them.
+    ``trained``: models that are made first, on collections of their own, and asked with the others.
+    Strategies read the first of ``models`` and of each of ``trained``; some read none.
+    ``first``: number of the first group and trial of a cell (choices are made on later ones).
     """
 
     bench: SimulationSettings
@@ -34,16 +39,26 @@ class Both:
     strategies: tuple[str, ...] = ("paper", "outlines", "pressure")
     groups: int = 40
     trials: int = 20
+    trained: tuple[RandomisedTraining, ...] = ()
+    first: int = 0
 
     def jobs(self) -> list[JobSpec]:
         """Return all jobs: the two worlds take turns, so that what is finished can be compared."""
         lists = [jobs for _, jobs in self._cells()]
         longest = max(map(len, lists))
-        return [jobs[k] for k in range(longest) for jobs in lists if k < len(jobs)]
+        asked = [jobs[k] for k in range(longest) for jobs in lists if k < len(jobs)]
+        made = [spec for plan in self.trained for spec in (*plan.data(), plan.training())]
+        return made + asked
+
+    def effort(self, spec: JobSpec) -> int:
+        """Return how long a job takes compared with others, for the time that is left."""
+        if spec.kind.startswith("asked-"):
+            return effort(spec)
+        return self.trained[0].effort(spec)
 
     def answer(self, store: JobStore) -> Json:
         """Return what is finished in both worlds, by cell and pooled over bottoms."""
-        found: dict[tuple[str, str, str], list[Json]] = {}
+        found: dict[_Cell, list[Json]] = {}
         cells = dict(self._cells())
         for (world, bottom, strategy), jobs in cells.items():
             same = zip(*(cells[other, bottom, strategy] for other in WORLDS), strict=True)
@@ -57,13 +72,16 @@ class Both:
             "bench_sha256": bench_sha256(self.bench),
             "code": self.code,
             "piece": self.piece,
-            "models": dict(self.models),
+            "first": self.first,
+            "models": self._asked(),
             "presses": [
                 {"world": world, "bottom": bottom, "model": model, **press_figures(parts, model)}
                 for (world, bottom, strategy), parts in found.items()
                 if not strategy and parts
-                for model in self.models
+                for model in _models_of(parts)
             ],
+            "changes": [change for bottom in (*self.bottoms, "pooled")
+                        for change in _changes(found, bottom)],
             "trials": [
                 {
                     "world": world,
@@ -74,20 +92,52 @@ class Both:
                 for (world, bottom, strategy), parts in found.items()
                 if strategy and parts
             ],
-        }
+        }  # fmt: skip
 
-    def _cells(self) -> Iterator[tuple[tuple[str, str, str], list[JobSpec]]]:
+    def _asked(self) -> dict[str, str]:
+        """Return all models by name, the given ones first."""
+        return {**self.models, **{plan.name: plan.training().id for plan in self.trained}}
+
+    def _cells(self) -> Iterator[tuple[_Cell, list[JobSpec]]]:
         """Yield world, bottom and strategy ("" for presses) with their jobs."""
-        source = next(iter(self.models.values()))
+        given, *_ = self.models.items()
         for bottom in self.bottoms:
             for world in WORLDS:
-                pair, place = (self.piece, bottom), Place(world, self.bench)
-                jobs = presses_jobs(place, pair, self.models, self.groups, self.code)
+                pair, place = (self.piece, bottom), Place(world, self.bench, self.first)
+                jobs = presses_jobs(place, pair, self._asked(), self.groups, self.code)
                 yield (world, bottom, ""), jobs
                 for strategy in self.strategies:
-                    chosen = (strategy, source)
-                    jobs = trials_jobs(place, pair, chosen, self.trials, self.code)
-                    yield (world, bottom, strategy), jobs
+                    trained = () if strategy in STRATEGIES[-2:] else self.trained
+                    for name, source in (given, *((t.name, t.training().id) for t in trained)):
+                        word = strategy if name == given[0] else f"{strategy}, {name}"
+                        chosen = (strategy, source)
+                        jobs = trials_jobs(place, pair, chosen, self.trials, self.code)
+                        yield (world, bottom, word), jobs
+
+
+_Cell = tuple[str, str, str]
+"""World, bottom, and strategy with what it reads ("" for presses)."""
+
+
+def _models_of(parts: Sequence[Mapping[str, Any]]) -> list[str]:
+    return list(parts[0]["models"])
+
+
+def _changes(found: Mapping[_Cell, Sequence[Json]], bottom: str) -> Iterator[Json]:
+    """Yield by group what each model loses elsewhere, and what one has over another in a world."""
+    here, there = (found.get((world, bottom, ""), []) for world in WORLDS)
+    if not here:
+        return
+    names = _models_of(here)
+    across = list(zip(here, there, strict=True))
+    for name in names:
+        yield {"what": "drop", "bottom": bottom, "from": name, "to": name,
+               **iou_change(across, name, name)}  # fmt: skip
+    for world, parts in zip(WORLDS, (here, there), strict=True):
+        same = list(zip(parts, parts, strict=True))
+        for old, new in combinations(names, 2):
+            yield {"what": world, "bottom": bottom, "from": old, "to": new,
+                   **iou_change(same, old, new)}  # fmt: skip
 
 
 def press_figures(parts: Sequence[Mapping[str, Any]], model: str) -> Json:
@@ -122,6 +172,16 @@ def press_rows(answer: Json) -> list[tuple[str, ...]]:
             row += [interval(get(here)), interval(get(there)), drop(get(here), get(there))]
         unsafe = [percent(c["stable_1"]["unsafe"]["value"]) for c in (here, there)]
         rows.append((*row, " / ".join(unsafe)))
+    return rows
+
+
+def change_rows(answer: Json) -> list[tuple[str, ...]]:
+    """Return each paired change: what is compared, on which bottom, points, number of groups."""
+    rows = []
+    for change in answer["changes"]:
+        old, new = change["from"], change["to"]
+        what = f"{old}: bench to elsewhere" if old == new else f"{change['what']}: {old} to {new}"
+        rows.append((what, change["bottom"], signed(change), str(change["n"])))
     return rows
 
 

@@ -9,17 +9,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from backend.config.bench_facts import bench_sha256
 from backend.config.simulation import SimulationSettings
 from backend.experiments.asking import Place, presses_jobs, trials_jobs
 from backend.experiments.beyond import counted
 from backend.experiments.elsewhere import interval, press_figures
 from backend.experiments.nuisances import FACTORS, NUISANCES, Nuisance, scaled
+from backend.experiments.paired import iou_change, signed
 from backend.jobs.spec import JobSpec
 from backend.jobs.store import JobStore
-from backend.learning.metrics import Z_95
 
 FORMAT = "touchdown-sensitivity/1"
 Json = dict[str, Any]
@@ -85,7 +83,7 @@ class Sensitivity:
                 for a, b in zip(reference, asked, strict=True)
                 if store.has(a.id) and store.has(b.id)
             ]
-            row["iou_change"] = _change(both)
+            row["iou_change"] = iou_change(both, _MODEL, _MODEL)
             if trials:
                 row["trials"] = counted([trial for part in trials for trial in part["trials"]])
             yield row
@@ -112,7 +110,7 @@ def sensitivity_rows(answer: Json) -> list[tuple[str, ...]]:
     rows = []
     for nuisance in answer["nuisances"]:
         at = {row["factor"]: row for row in nuisance["at"]}
-        changes = [_signed(at.get(factor, {}).get("iou_change")) for factor in FACTORS]
+        changes = [signed(at.get(factor, {}).get("iou_change")) for factor in FACTORS]
         right = [
             interval(at[f]["stable_1"]["accuracy"]) if f in at else "" for f in (0.0, 1.0, 3.0)
         ]
@@ -122,32 +120,3 @@ def sensitivity_rows(answer: Json) -> list[tuple[str, ...]]:
 
 def _done(jobs: Sequence[JobSpec], store: JobStore) -> list[Mapping[str, Any]]:
     return [store.result(spec.id) for spec in jobs if store.has(spec.id)]
-
-
-def _change(pairs: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> Json:
-    """Return the mean change of IoU with its 95 % interval, over groups that both kept.
-
-    A job in which a group was left out is not compared: its groups no longer match.
-    """
-    change = [
-        after - before
-        for then, now in pairs
-        if then["left_out"] == now["left_out"] == 0
-        for before, after in zip(_iou(then), _iou(now), strict=True)
-    ]
-    if len(change) < 2:
-        return {"value": None, "low": None, "high": None, "n": len(change)}
-    centre, half = float(np.mean(change)), Z_95 * float(np.std(change, ddof=1)) / len(change) ** 0.5
-    return {"value": centre, "low": centre - half, "high": centre + half, "n": len(change)}
-
-
-def _iou(part: Mapping[str, Any]) -> list[float]:
-    found: list[float] = part["models"][_MODEL]["iou"]
-    return found
-
-
-def _signed(change: Json | None) -> str:
-    if not change or change["value"] is None:
-        return ""
-    half = 50.0 * (change["high"] - change["low"])
-    return f"{100 * change['value']:+.1f} ± {half:.1f}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -15,6 +16,7 @@ from backend.verbs.screen import Screen
 
 if TYPE_CHECKING:
     from backend.config.simulation import SimulationSettings
+    from backend.experiments.randomised import RandomisedTraining
     from backend.jobs.spec import JobSpec
     from backend.jobs.store import JobStore
 
@@ -29,6 +31,17 @@ def add_asked_arguments(parser: argparse.ArgumentParser) -> None:
     asked = parser.add_argument_group("elsewhere, sensitivity")
     asked.add_argument("--groups", type=int, default=20, help="of three probes, in each cell "
                        "(default: %(default)s)")  # fmt: skip
+    asked.add_argument("--first", type=int, default=0, metavar="N", help="number of the first "
+                       "group and trial in each cell; choose on later ones than are reported "
+                       "(elsewhere, default: %(default)s)")  # fmt: skip
+    asked.add_argument("--train", metavar="NAMES", help="train FT+Tac first, as the paper may have "
+                       "done it, and ask it too: on probes of 120 mountings of the bench "
+                       "(mountings), or of as many with sizes of nuisances and laws of gel and "
+                       "friction drawn anew for each (randomised), or both with a comma between "
+                       "(elsewhere)")  # fmt: skip
+    asked.add_argument("--probes", type=int, default=2000, help="of --train on each of three "
+                       "outlines (default: %(default)s)")  # fmt: skip
+    asked.add_argument("--epochs", type=int, default=30, help="of --train (default: %(default)s)")
 
 
 def ask(args: argparse.Namespace, screen: Screen, store: JobStore, done: Done) -> Json:
@@ -57,12 +70,18 @@ def _elsewhere(
     done: Done,
     given: tuple[SimulationSettings, Mapping[str, str]],
 ) -> Json:
-    from backend.experiments.asking import effort
-    from backend.experiments.elsewhere import Both, press_rows, trial_rows
+    from backend.experiments.elsewhere import Both, change_rows, press_rows, trial_rows
     from backend.experiments.writing import program_version
     from backend.simulation.release_mujoco import engine
 
     engine()
+    if args.first < 0 or args.epochs < 1 or args.probes < 10:
+        raise InputError(
+            "No group has such a number, or nothing is trained.",
+            "--first, --epochs, --probes",
+            "Give --first 0 or more, --epochs 1 or more, --probes 10 or more.",
+        )
+    trained = _trained(args, given[0])
     plan = Both(
         bench=given[0],
         code=program_version(),
@@ -72,8 +91,12 @@ def _elsewhere(
         strategies=tuple(args.strategies.split(",")) if args.trials else (),
         groups=args.groups,
         trials=args.trials,
+        trained=trained,
+        first=args.first,
     )
-    failed = done(plan.jobs(), effort)
+    failed = done(plan.jobs(), plan.effort)
+    if args.keep_models:
+        _keep(args.keep_models, trained, store, screen)
     answer = plan.answer(store)
     _show(
         screen,
@@ -81,6 +104,8 @@ def _elsewhere(
         ("model", "IoU", "elsewhere", "", "right", "elsewhere", "", "unsafe"),
         press_rows(answer),
     )
+    title = "Change of the IoU in points, group by group"
+    _show(screen, title, ("what", "bottom", "change", "groups"), change_rows(answer))
     _show(
         screen,
         "Trials: placed %, unsafe %; bench, elsewhere, change",
@@ -121,14 +146,55 @@ def _sensitivity(
     return _kept(args.out, "sensitivity", answer, (plan.jobs(), failed), store)
 
 
+def _trained(args: argparse.Namespace, bench: SimulationSettings) -> tuple[RandomisedTraining, ...]:
+    """Return the trainings that are asked for; raises ``InputError`` for unknown collections."""
+    from typing import get_args
+
+    from backend.experiments.randomised import Collected, RandomisedTraining
+    from backend.experiments.writing import program_version
+
+    names: tuple[Collected, ...] = get_args(Collected)
+    wanted = args.train.split(",") if args.train else []
+    if unknown := [word for word in wanted if word not in names]:
+        raise InputError(
+            f"'{unknown[0]}' is no collection.", "--train", f"Name some of {','.join(names)}."
+        )
+    own = RandomisedTraining(
+        bench,
+        program_version(),
+        args.pieces,
+        "randomised",
+        probes=args.probes,
+        epochs=args.epochs,
+        device=args.device,
+    )
+    return tuple(replace(own, collected=name) for name in names if name in wanted)
+
+
+def _keep(
+    folder: Path, trained: Sequence[RandomisedTraining], store: JobStore, screen: Screen
+) -> None:
+    """Write what was trained, each in a folder of its own for ``--models``."""
+    from backend.experiments.given_models import load_model
+    from backend.learning.checkpoint import save_half
+
+    for plan in trained:
+        source = plan.training().id
+        if store.has(source):
+            path = folder / plan.collected / f"{plan.piece}-{plan.inputs.lower()}.safetensors"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            save_half(path, load_model(source, store))
+            screen.say(f"A model: {path}")
+
+
 def _models(args: argparse.Namespace, bench: SimulationSettings, store: JobStore) -> dict[str, str]:
     """Return the models of the piece, FT+Tac first; raises ``InputError`` for unknown names."""
-    from backend.experiments.beyond import STRATEGIES
+    from backend.experiments.asking import STRATEGIES
     from backend.experiments.given_models import adopt_models, models_that_ship
     from backend.experiments.recipes import BOTTOMS, PIECES
 
     known = ((args.pieces, PIECES), *((b, BOTTOMS) for b in args.bottoms.split(",")))
-    known += tuple((s, STRATEGIES[:3]) for s in args.strategies.split(","))
+    known += tuple((s, STRATEGIES) for s in args.strategies.split(","))
     for name, names in known:
         if name not in names:
             raise InputError(

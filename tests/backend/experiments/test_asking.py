@@ -19,6 +19,7 @@ from backend.experiments.sensitivity_page import sensitivity_page
 from backend.jobs.campaign import run_campaign
 from backend.jobs.executor import Serial
 from backend.jobs.store import JobStore
+from backend.learning.checkpoint import load_card
 from backend.simulation import nuisance
 from backend.simulation.release_mujoco import available
 
@@ -125,10 +126,13 @@ def test_both_worlds_are_asked_the_same_and_only_once(
 ) -> None:
     words = ["experiment", "elsewhere", "--pieces", "pot", "--bottoms", "short", "--groups", "2"]
     words += ["--trials", "1", "--strategies", "paper", "--preset", "quiet", "--json"]
-    words += ["--executor", "serial", "--out", str(tmp_path)]
+    words += ["--executor", "serial", "--out", str(tmp_path), "--train", "randomised"]
+    words += ["--probes", "10", "--epochs", "1", "--keep-models", str(tmp_path)]
     assert main(words) == 0
     answer = json.loads(capsys.readouterr().out)
     assert (answer["missing"], answer["failed"]) == (0, [])
+    card = load_card(tmp_path / "randomised" / "pot-ft+tac.safetensors")
+    assert (card.data["mountings"], card.training["epochs"]) == (3, 1)
     said = json.loads(Path(answer["file"]).read_text("utf-8"))
     presses = {(c["world"], c["bottom"]): c for c in said["presses"] if c["model"] == "FT+Tac"}
     here, there = presses["bench", "short"], presses["elsewhere", "short"]
@@ -136,6 +140,16 @@ def test_both_worlds_are_asked_the_same_and_only_once(
     assert here["iou"]["value"] != there["iou"]["value"]
     assert here["stable_1"]["stable_share"] == there["stable_1"]["stable_share"]
     assert {c["placed"]["n"] for c in said["trials"]} == {1}
+    own = "FT+Tac randomised"
+    assert {c["strategy"] for c in said["trials"]} == {"paper", f"paper, {own}"}
+    iou = {(c["world"], c["model"]): c["iou"]["value"] for c in said["presses"]
+           if c["bottom"] == "short"}  # fmt: skip
+    change = {(c["what"], c["from"], c["to"]): c["value"] for c in said["changes"]
+              if c["bottom"] == "short"}  # fmt: skip
+    gain = iou["elsewhere", own] - iou["elsewhere", "FT+Tac"]
+    assert change["elsewhere", "FT+Tac", own] == pytest.approx(gain)
+    lost = iou["elsewhere", own] - iou["bench", own]
+    assert change["drop", own, own] == pytest.approx(lost)
     done = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "jobs").iterdir()}
     assert main(words) == 0
     assert done == {path.name: path.stat().st_mtime_ns for path in (tmp_path / "jobs").iterdir()}

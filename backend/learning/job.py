@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,6 +15,13 @@ from backend.learning.metrics import ReliabilityBin
 DeviceName = Literal["auto", "cpu", "cuda"]
 """What computes: ``auto`` is the graphics processor if torch finds one, else the processor."""
 DEVICES: tuple[DeviceName, ...] = ("auto", "cpu", "cuda")
+MOST_THREADS = 2
+"""More were never measured; the same on all machines that have them gives the same numbers."""
+
+
+def threads_here() -> int:
+    """Return on how many threads a training of its own computes where nobody says."""
+    return min(MOST_THREADS, os.cpu_count() or 1)
 
 
 class Message(BaseModel):
@@ -36,7 +44,7 @@ class TrainingJob(Message):
     resume: bool = False
     keep: Path | None = None
     """Folder that takes the manifest of the training set and sample predictions, if any."""
-    threads: Annotated[int, Field(ge=1, le=64)] = 1
+    threads: Annotated[int, Field(ge=1, le=64)] = Field(default_factory=threads_here)
     """More than one gain where as many cores are free; other last digits than one thread gives."""
     device: DeviceName = "auto"
 

@@ -27,8 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--threads",
         type=int,
-        default=1,
-        help="processor threads, as many as there are free cores (default: 1)",
+        help="processor threads; other last digits with another number (default: 2 where there "
+        "are two cores)",
     )
     add_device(parser)
     parser.add_argument(
@@ -130,9 +130,10 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         "settings": parse(TrainingSettings, settings, "arguments"),
         "labels": args.labels,
         "resume": args.resume,
-        "threads": args.threads,
         "device": args.device,
     }
+    if args.threads is not None:
+        job["threads"] = args.threads
     curve: list[dict[str, object]] = []
     answer: dict[str, object] = {"version": JSON_VERSION}
     asked = parse(TrainingJob, job, "arguments")

@@ -25,3 +25,13 @@ def test_divergence_is_named_and_leaves_no_model(
     with pytest.raises(InputError, match="diverged"):
         fit(job, lambda _: None, lambda: False)
     assert not out.exists()
+
+
+@pytest.mark.parametrize(("cores", "threads"), [(None, 1), (1, 1), (2, 2), (16, 2)])
+def test_a_training_takes_two_threads_where_there_are_two_cores(
+    cores: int | None, threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: cores)
+    data = Path("data")
+    job = TrainingJob(data=data, piece=None, out=data, settings=TrainingSettings())
+    assert job.threads == threads

@@ -1,8 +1,10 @@
 """``touchdown emulate``: a device for others to speak to, and what it says of itself."""
 
 import json
+import queue
 import socket
 import threading
+from contextlib import contextmanager
 
 import pytest
 
@@ -10,10 +12,10 @@ from backend.__main__ import main
 from backend.config.hardware import HardwareSettings
 from backend.config.load import load
 from backend.emulators.serving import SUFFERS
+from backend.verbs import emulate
 from backend.wire import wsg_binary
 from backend.wire.wsg_binary import Request
 from backend.wire.wsg_words import Command
-from tests.backend.devices.waiting import until
 
 
 def free_port():
@@ -31,24 +33,37 @@ def test_every_kind_serves_and_tells_its_bench_file(kind, capsys, tmp_path):
     assert told["bench"]
 
 
-def test_a_client_of_its_own_reads_the_gripper(capsys):
+@pytest.fixture
+def ends(monkeypatch):
+    """Where each ``emulate`` puts what its Ctrl-C would call: it serves until a test calls it."""
+    told = queue.SimpleQueue()
+
+    @contextmanager
+    def handed_over(cancel):
+        told.put(cancel)
+        yield
+
+    monkeypatch.setattr(emulate, "ctrl_c_cancels", handed_over)
+    return told
+
+
+def test_a_client_of_its_own_reads_the_gripper(capsys, ends):
     port = free_port()
-    words = ["emulate", "wsg", "--port", str(port), "--for", "2", "--part", "0", "--json"]
+    words = ["emulate", "wsg", "--port", str(port), "--part", "0", "--json"]
     serving = threading.Thread(target=main, args=(words,))
     serving.start()
-    replies = []
-
-    def answered():
-        try:
-            with socket.create_connection(("127.0.0.1", port), timeout=1.0) as client:
-                client.sendall(wsg_binary.encode_request(Request(Command.WIDTH, (0, 0))))
-                replies.extend(wsg_binary.replies().feed(client.recv(100)))
-        except (ConnectionRefusedError, TimeoutError):
-            return False
-        return True
-
-    until(answered)
-    serving.join()
+    replies, reader = [], wsg_binary.replies()
+    end = ends.get(timeout=60.0)
+    try:
+        with socket.create_connection(("127.0.0.1", port), timeout=60.0) as client:
+            client.sendall(wsg_binary.encode_request(Request(Command.WIDTH, (0, 0))))
+            while not replies:
+                heard = client.recv(100)
+                assert heard, "it closed the wire without an answer"
+                replies.extend(reader.feed(heard))
+    finally:
+        end()
+        serving.join()
     assert replies[0].values == (66.0,)
     told = json.loads(capsys.readouterr().out)
     assert (told["clients"], told["bench"]["wsg"]["port"]) == (1, port)

@@ -10,6 +10,7 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
@@ -121,13 +122,18 @@ def load_catalogue(folder: Path | None = None) -> Catalogue:
 
     Raises one ``InputError`` with file, key and reason for the first bad file.
     """
-    shipped = Path(str(files("resources"))) / "objects"
-    pieces = _read_folder(shipped)
+    pieces = dict(_shipped())
     if folder is not None:
         if not folder.is_dir():
             raise InputError("There is no such folder of pieces.", str(folder), "Check the path.")
         pieces |= _read_folder(folder)
     return Catalogue(pieces, str(folder or "resources/objects"))
+
+
+@cache
+def _shipped() -> Mapping[str, Piece]:
+    """Read the shipped files, once: they stay as they are while the program runs."""
+    return _read_folder(Path(str(files("resources"))) / "objects")
 
 
 def _read_folder(folder: Path) -> dict[str, Piece]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -284,6 +285,7 @@ def action(offset, margin):
     return PlaceAction("shift", step, (0.3, -0.2), True, reason)
 
 
+@cache
 def _gel(seed):
     rng = np.random.default_rng(seed)
     v, u = np.mgrid[0:240, 0:320]

@@ -177,7 +177,7 @@ def press_rows(answer: Json) -> list[tuple[str, ...]]:
 
 def change_rows(answer: Json) -> list[tuple[str, ...]]:
     """Return each paired change: what is compared, on which bottom, points, number of groups."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for change in answer["changes"]:
         old, new = change["from"], change["to"]
         what = f"{old}: bench to elsewhere" if old == new else f"{change['what']}: {old} to {new}"

@@ -55,9 +55,8 @@ def _pushes(bench: Bench, request: CalibrateRequest) -> Plan[list[Push]]:
         x_mm, y_mm = (origin + out_mm * _towards(side)).tolist()
         motion = bench.arm.move_to(Pose(x_mm, y_mm, start_mm), bench.settings.probe.travel_mm_s)
         yield from motion_done(motion, MOVE_S, "the arm to shift")
-        each = yield from again_if_void(
-            partial(_push, bench, side), partial(_after_void, bench, start_mm)
-        )
+        push, after_void = partial(_push, bench, side), partial(_after_void, bench, start_mm)
+        each = yield from again_if_void(bench, push, after_void)
         pushed.append(each)
         yield from rise_to(bench, start_mm)
     yield Progress(bench.now_s(), MOST, MOST, "back to the jig")

@@ -53,8 +53,8 @@ def press_once(
     """Press and stay pressed; return what was felt, accepted or not.
 
     ``offset_mm`` (2,): commanded displacement (None: where the arm is, in its own frame).
-    ``decides``: a decision follows at once, which nothing should disturb. A press that the arm's
-    link made void is made again.
+    ``decides``: a decision follows at once, which nothing should disturb. A press that a short
+    silence of arm or wrist made void is made again.
     """
 
     def after_void(fault: Fault) -> Plan[None]:
@@ -62,7 +62,7 @@ def press_once(
         yield from lift(bench, probe)
 
     press = partial(_press, bench, probe, offset_mm, decides=decides)
-    return (yield from again_if_void(press, after_void))
+    return (yield from again_if_void(bench, press, after_void))
 
 
 def _press(bench: Bench, probe: int, offset_mm: FloatArray | None, *, decides: bool) -> Plan[Felt]:

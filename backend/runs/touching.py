@@ -81,7 +81,7 @@ def touched_mm(
     """Descend at ``place`` (2,) from ``start_mm``; return the height of contact, None without one.
 
     Without contact it goes ``below_mm`` below the usual height of contact. The arm ends at
-    ``start_mm``. A touch that the arm's link made void is made again.
+    ``start_mm``. A touch that is void is made again.
     """
 
     def after_void(fault: Fault) -> Plan[None]:
@@ -89,7 +89,7 @@ def touched_mm(
         yield from rise_to(bench, start_mm)
 
     touch = partial(_touched_mm, bench, place, start_mm, below_mm)
-    return (yield from again_if_void(touch, after_void))
+    return (yield from again_if_void(bench, touch, after_void))
 
 
 def rise_to(bench: Bench, start_mm: float) -> Plan[None]:

@@ -10,6 +10,7 @@ import pytest
 from backend.assembly import simulated_session
 from backend.core.facts import (
     Fact,
+    FaultRaised,
     HandOverAwaited,
     OutcomeAwaited,
     PhaseEntered,
@@ -33,10 +34,9 @@ HEAVY = replace(POT, mass_g=200.0)
 class Attended:
     """A simulated bench that keeps its truth to itself, and an operator who answers."""
 
-    def __init__(self, tmp_path, seen=(Outcome.PLACED, "")):
-        self.session = simulated_session(
-            brisk_bench("quiet"), keep=Keep(tmp_path, episodes=False), method=brisk_method()
-        )
+    def __init__(self, tmp_path, seen=(Outcome.PLACED, ""), faults=()):
+        bench, keep = brisk_bench("quiet", faults=faults), Keep(tmp_path, episodes=False)
+        self.session = simulated_session(bench, keep=keep, method=brisk_method())
         make = self.session._make_stage
         self.stages = []
 
@@ -52,7 +52,8 @@ class Attended:
         self.facts.append(fact)
         if isinstance(fact, SetUpAwaited | HandOverAwaited):
             self.asks.append((self.session.status().asks, self.session.hand.holding))
-            self.session.answer(self.ready)
+            if self.ready is not None:
+                self.session.answer(self.ready)
         elif isinstance(fact, OutcomeAwaited):
             self.asks.append((self.session.status().asks, self.session.hand.holding))
             self.session.gate.see(*self.seen)
@@ -95,6 +96,33 @@ def test_without_a_set_scene_nothing_moves(tmp_path):
     assert finished.outcome is Outcome.ABORTED
     assert attended.of(PhaseEntered) == []
     assert attended.of(RunFinished)[-1].ending == "cancelled"
+
+
+@pytest.mark.parametrize(
+    ("fault", "code", "asked"),
+    [
+        ("force_torque:nan@1.5", "FT-STALE", True),
+        ("tactile_left:stop@1.5", "CAMERA-STALE", True),
+        ("force_torque:nan@3.5", "FT-STALE", False),
+        ("force_torque:stop@3.5", "FT-STALE", False),
+    ],
+)
+def test_a_device_lost_while_the_scene_is_set_up_ends_the_run_before_a_probe(
+    tmp_path, fault, code, asked
+):
+    """While the operator is still asked, or while the piece is carried to its start."""
+    attended = Attended(tmp_path, faults=(fault,))
+    attended.ready = None if asked else True
+    (finished,) = attended.run(trials=3)
+    assert finished.outcome is Outcome.ABORTED
+    (raised,) = attended.of(FaultRaised)
+    assert raised.fault.code == code
+    assert attended.of(RunFinished)[-1].ending == "failed"
+    phases = [fact.phase for fact in attended.of(PhaseEntered)]
+    assert not {"approach", "press", "release"} & set(phases)
+    # Nothing moved for the hand that was at the bench; what was taken over stays held.
+    assert phases == [] if asked else "grip" in phases
+    assert attended.session.devices["gripper"].status().holding is not asked
 
 
 def test_starts_follow_from_the_seed_and_differ(tmp_path):

@@ -15,6 +15,7 @@ from backend.core.faults import FaultError, RefusedError
 from backend.devices.interlock import Limits
 from backend.devices.melfa.link_faults import VOID
 from backend.devices.sim.arm import SimArm
+from backend.devices.streamed.pressing import UNFELT
 from backend.objects.shapes import circle, rectangle, regular, square
 from backend.runs import calibrate_pushes, touching
 from backend.runs.again import VOID_TRIES
@@ -60,7 +61,7 @@ def test_a_turned_sensor_is_found_by_the_weight() -> None:
     blind = BlindBench(request.scene(), changes={"wrist": {"yaw_rad": yaw}})
     found = measured(blind, measure_wrist, request)
     assert found.value("yaw_rad") == pytest.approx(yaw, abs=4.0 * found.quantities[0].sigma)
-    assert "5.0 degrees" in found.obstacle
+    assert "5.0°" in found.obstacle
 
 
 def test_an_arm_that_keeps_level_gives_what_it_can_and_says_so(monkeypatch) -> None:
@@ -116,9 +117,9 @@ def test_a_bottom_that_is_not_there_is_refused() -> None:
         measured(BlindBench(request.scene()), measure_board, request)
 
 
-@pytest.mark.parametrize("voids", [2, 3])
-def test_a_void_touch_is_made_again_but_not_for_ever(voids, monkeypatch) -> None:
-    """What a real arm ends a touch with while its replies stay away for a moment."""
+@pytest.mark.parametrize(("voids", "fault"), [(2, UNFELT), (3, VOID)])
+def test_a_void_touch_is_made_again_but_not_for_ever(voids, fault, monkeypatch) -> None:
+    """What a real arm ends a touch with while replies, or samples, stay away for a moment."""
     pressed = []
     press = SimArm.press
 
@@ -126,7 +127,7 @@ def test_a_void_touch_is_made_again_but_not_for_ever(voids, monkeypatch) -> None
         motion = press(arm, command)
         pressed.append(motion)
         if len(pressed) <= voids:
-            motion.end(VOID)
+            motion.end(fault)
         return motion
 
     monkeypatch.setattr(SimArm, "press", lost)

@@ -64,9 +64,14 @@ def lab_session(
     return session
 
 
+def calibrations_of(lab: Lab) -> CalibrationStore:
+    """Return the calibrations of a lab, beside its file or where that says."""
+    return CalibrationStore(lab.calibrations, lab.settings.kind, f"--bench {lab.path}")
+
+
 def _as_calibrated(lab: Lab) -> Lab:
     """Return the lab with its cameras as the calibration that holds found them to sit."""
-    kept = CalibrationStore(lab.calibrations, lab.settings.kind).standing("camera", {})
+    kept = calibrations_of(lab).standing("camera", {})
     if kept.condition != "valid" or kept.record is None:
         return lab
     gelsight = seen_by(lab.settings.gelsight, kept.record)
@@ -107,7 +112,7 @@ class _LabBench:
                 session.prepare(self._first)
 
         connection.when_ready = set_first
-        session.calibrations = CalibrationStore(self._lab.calibrations, settings.kind)
+        session.calibrations = calibrations_of(self._lab)
         limits = Limits(**settings.limits.model_dump())
         session.join(connection, settings.name, limits, str(self._lab.path))
 

@@ -13,11 +13,12 @@ from PySide6.QtWidgets import QWidget
 from app.activity import busy, why_no_run
 from app.calibrate.place_form import PlaceForm
 from app.calibrate.sheet import CalibrateSheet, Intents, SheetLook
-from app.calibrate.words import AFTER, COUNTS, NAMES, STEPS, days_words, value_words
+from app.calibrate.words import AFTER, COUNTS, STEPS, days_words
 from app.cards import refusal_card
 from app.link import Link
 from backend.calibration.kinds import KINDS, WHATS, What
 from backend.calibration.store import Standing
+from backend.calibration.told import name_words, residual_words, value_words
 from backend.core.facts import (
     CalibrationMeasured,
     Fact,
@@ -188,7 +189,7 @@ class CalibratePresenter:
             total=self._progress.total if mine else 1,
             progress=self._progress.text if mine else "",
             values=() if found is None else tuple(
-                (NAMES.get(name, name), value_words(value, sigma, unit))
+                (name_words(name), value_words(value, sigma, unit))
                 for name, value, sigma, unit in zip(
                     found.names, found.values, found.sigmas, found.units, strict=True
                 )
@@ -254,8 +255,7 @@ class CalibratePresenter:
 def _figure(found: CalibrationMeasured | None) -> str:
     if found is None:
         return ""
-    side = "within" if found.residual <= found.limit else "beyond"
-    return f"Residual {found.residual:.2g} {found.unit}: {side} the limit of {found.limit:g}."
+    return f"Residual {residual_words(found.residual, found.limit, found.unit)}."
 
 
 def _clock() -> str:

@@ -1,4 +1,4 @@
-"""The wizard in words: steps and conditions of each calibration, names of what it finds."""
+"""The wizard in words: steps and conditions of each calibration."""
 
 from __future__ import annotations
 
@@ -46,43 +46,6 @@ COUNTS: dict[What, str] = {
     "camera": "rms",
 }
 """Which figure of the residuals is held against the limit."""
-NAMES = {
-    "mass_kg": "Mass",
-    "com_x_mm": "Centre of mass, x",
-    "com_y_mm": "Centre of mass, y",
-    "com_z_mm": "Centre of mass, z",
-    "bias_fx_n": "Bias Fx",
-    "bias_fy_n": "Bias Fy",
-    "bias_fz_n": "Bias Fz",
-    "bias_tx_nm": "Bias Tx",
-    "bias_ty_nm": "Bias Ty",
-    "bias_tz_nm": "Bias Tz",
-    "x_mm": "x",
-    "y_mm": "y",
-    "z_mm": "z",
-    "slope_x_rad": "Slope along x",
-    "slope_y_rad": "Slope along y",
-    "yaw_rad": "Yaw",
-    "face_x_mm": "Face centre, x",
-    "face_y_mm": "Face centre, y",
-    "exchanged": "Fingers exchanged",
-    "left_mirror": "Left mirror (x 1, y 2)",
-    "right_mirror": "Right mirror (x 1, y 2)",
-    "left_u_mm_px": "Left camera, across",
-    "left_v_mm_px": "Left camera, down",
-    "right_u_mm_px": "Right camera, across",
-    "right_v_mm_px": "Right camera, down",
-}
-
-
-def value_words(value: float, sigma: float, unit: str) -> str:
-    """Write a value with as many digits as its uncertainty leaves, and a true minus."""
-    if not unit:
-        return f"{value:.0f}"
-    digits = 4 if sigma < 0.01 else 3 if sigma < 0.1 else 2
-    minus = "\N{MINUS SIGN}"
-    shown = f"{value:.{digits}f}".replace("-", minus)
-    return f"{shown} \N{PLUS-MINUS SIGN} {sigma:.{digits}f} {unit}"
 
 
 def days_words(days_left: float) -> str:

@@ -81,14 +81,17 @@ def placed_by(used: Mapping[What, Record]) -> Placed:
     return Placed(_board(used.get("board")), _face(used.get("tool")))
 
 
-def refuse_other_bottom(used: Mapping[What, Record], bottom: str) -> None:
-    """Raise ``RefusedError`` if the board was felt on another bottom than ``bottom``."""
+def refuse_other_bottom(used: Mapping[What, Record], bottom: str, command: str) -> None:
+    """Raise ``RefusedError`` if the board was felt on another bottom than ``bottom``.
+
+    ``command`` measures the board of this bench.
+    """
     board = placed_by(used).board
     if board is not None and board.bottom != bottom:
         raise RefusedError(
             "CALIBRATION-OTHER-BOTTOM",
             f"Board: it was felt on {board.bottom}, not on {bottom}. "
-            f"Run 'touchdown calibrate board --bottom {bottom}'.",
+            f"Run '{command} --bottom {bottom}'.",
         )
 
 

@@ -131,9 +131,11 @@ def _obstacle(yaw: Quantity) -> str:
     if abs(yaw.value) <= LARGEST_YAW_RAD + 2.0 * yaw.sigma:
         return ""
     way = "clockwise" if yaw.value > 0.0 else "counter-clockwise"
+    turned = math.degrees(yaw.value)
     return (
-        f"The bottom is turned by {math.degrees(yaw.value):.1f} degrees: turn it {way}, seen from "
-        "above, by as much, then measure again."
+        f"The bottom is turned by {turned:.1f}°, and labels and maps take it as straight: turn it "
+        f"{way}, seen from above, by as much. On a MELFA arm {turned:.1f} may be added to "
+        "melfa.yaw_deg of the lab file instead: bench and hand turn with it. Then measure again."
     )
 
 

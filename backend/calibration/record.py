@@ -79,10 +79,13 @@ class Record:
         return (self.file.expires - now) / timedelta(days=1)
 
     def foreign(self, devices: Mapping[str, DeviceName]) -> str:
-        """Return the first device of ``devices`` that is not the one it was made with, else ""."""
+        """Return the first device of ``devices`` that is not the one it was made with, else "".
+
+        A device that tells no number goes by the name of its port, in whatever folder that is.
+        """
         for name, now in devices.items():
             then = self.file.devices.get(name)
-            if then is not None and then != now:
+            if then is not None and _who(then) != _who(now):
                 return name
         return ""
 
@@ -90,6 +93,10 @@ class Record:
         """Return the text of its file."""
         content = {**_content(self.file), "sha256": self.sha256}
         return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
+
+
+def _who(device: DeviceName) -> tuple[str, str, str]:
+    return device.maker, device.model, device.serial.rpartition("/")[2]
 
 
 def content_sha256(file: CalibrationFile) -> str:

@@ -26,24 +26,35 @@ Condition = Literal["valid", "expired", "missing", "other device", "damaged"]
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """How one calibration stands: ``record`` if there is one, ``why`` it does not hold else ""."""
+    """How one calibration stands: ``record`` if there is one, ``why`` it does not hold else "".
+
+    ``command``: what measures it anew on this bench.
+    """
 
     what: What
     condition: Condition
     record: Record | None
     why: str
+    command: str
 
     @property
     def fix(self) -> str:
         """What to do about it."""
-        return "" if self.condition == "valid" else f"Run 'touchdown calibrate {self.what}'."
+        return "" if self.condition == "valid" else f"Run '{self.command}'."
 
 
 class CalibrationStore:
-    """The files of one folder; only those of the same ``mode`` of bench count."""
+    """The files of one folder; only those of the same ``mode`` of bench count.
 
-    def __init__(self, folder: Path, mode: Mode) -> None:
-        self.folder, self.mode = folder, mode
+    ``where``: how the command line names the bench, such as "--bench lab.toml".
+    """
+
+    def __init__(self, folder: Path, mode: Mode, where: str = "") -> None:
+        self.folder, self.mode, self._where = folder, mode, where
+
+    def command(self, what: What) -> str:
+        """Return the command that measures a calibration of this bench, and keeps it."""
+        return " ".join(filter(None, ("touchdown calibrate", what, self._where, "--accept")))
 
     def accept(
         self,
@@ -105,20 +116,21 @@ class CalibrationStore:
 
         Devices that are not connected yet are not compared.
         """
+        command = self.command(what)
         try:
             record = self._newest(what)
         except InputError as error:
-            return Standing(what, "damaged", None, f"{error.what} [{error.where}]")
+            return Standing(what, "damaged", None, f"{error.what} [{error.where}]", command)
         if record is None:
-            return Standing(what, "missing", None, "never calibrated on this bench")
+            return Standing(what, "missing", None, "never calibrated on this bench", command)
         other = record.foreign(devices)
         if other:
             then = record.file.devices[other].serial or "another one"
-            return Standing(what, "other device", record, f"made with {other} {then}")
+            return Standing(what, "other device", record, f"made with {other} {then}", command)
         left = record.days_left(now or datetime.now(UTC))
         if left < 0:
-            return Standing(what, "expired", record, f"expired {-left:.0f} days ago")
-        return Standing(what, "valid", record, "")
+            return Standing(what, "expired", record, f"expired {-left:.0f} days ago", command)
+        return Standing(what, "valid", record, "", command)
 
     def standings(
         self, devices: Mapping[str, DeviceName], now: datetime | None = None

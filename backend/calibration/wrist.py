@@ -58,4 +58,4 @@ def estimate_wrist(turns: FloatArray, wrenches: FloatArray) -> Estimate:
 def _obstacle(yaw: float, sigma: float) -> str:
     if abs(yaw) <= LARGEST_YAW_RAD + 2.0 * sigma:
         return ""
-    return f"The sensor is turned by {math.degrees(yaw):.1f} degrees: turn ft.rotation by that."
+    return f"The sensor is turned by {math.degrees(yaw):.1f}°: turn ft.rotation by that."

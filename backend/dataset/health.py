@@ -169,7 +169,7 @@ def _no_contact(row: Examined) -> str:
     if press_n >= CONTACT_N:
         return ""
     known = np.isfinite(press_n)
-    return f"No contact: {press_n:.2f} N at the end." if known else "The press force is unknown."
+    return f"The press ended with {press_n:.2f} N." if known else "The press force is unknown."
 
 
 def _saturated(row: Examined) -> str:

@@ -49,9 +49,9 @@ def calibrations_for(
     if store is not None:
         used = store.in_use(device_names(devices), required=required)
         if required and isinstance(request, StackRequest):
-            refuse_other_bottom(used, "+".join(request.bottoms))
+            refuse_other_bottom(used, "+".join(request.bottoms), store.command("board"))
         elif required and isinstance(request, CollectRequest):
-            refuse_other_bottom(used, request.bottom)
+            refuse_other_bottom(used, request.bottom, store.command("board"))
         return used
     if required:
         raise RefusedError("CALIBRATION-MISSING", "This bench has no folder of calibrations.")

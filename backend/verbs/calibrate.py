@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 
 from backend.calibration.kinds import KINDS, WHATS, What
+from backend.calibration.told import name_words, residual_words, value_words
 from backend.config.lab import is_lab_file
 from backend.core.facts import (
     CalibrationMeasured,
@@ -162,17 +163,17 @@ def _verdict(found: CalibrationMeasured) -> str:
         return "Acceptable; nothing is kept without --accept."
     if found.obstacle:
         return "Not acceptable as the bench is set."
-    return f"Not acceptable: {found.residual:.3g} exceeds {found.limit:g} {found.unit}."
+    said = residual_words(found.residual, found.limit, found.unit)
+    return f"Not acceptable: the residual is {said}."
 
 
 def _table(found: CalibrationMeasured) -> Table:
     table = Table(title=TITLES[found.what])
-    for column in ("quantity", "value", "sigma", "unit"):
-        table.add_column(column, justify="left" if column in ("quantity", "unit") else "right")
-    for row in zip(found.names, found.values, found.sigmas, found.units, strict=True):
-        name, value, sigma, unit = row
-        table.add_row(name, f"{value:.4f}", f"{sigma:.4f}", unit)
-    table.add_row("residual", f"{found.residual:.3f}", f"limit {found.limit:g}", found.unit)
+    table.add_column("quantity")
+    table.add_column("value", justify="right")
+    for name, *value in zip(found.names, found.values, found.sigmas, found.units, strict=True):
+        table.add_row(name_words(name), value_words(*value))
+    table.add_row("Residual", residual_words(found.residual, found.limit, found.unit))
     return table
 
 
@@ -229,11 +230,14 @@ def _store_of(args: argparse.Namespace) -> CalibrationStore:
     from backend.config.lab import load_lab
 
     folder = Path(args.calibrations) if args.calibrations else calibrations_folder()
+    other = f" --calibrations {args.calibrations}" if args.calibrations else ""
     if args.bench is not None and is_lab_file(Path(args.bench)):
         lab = load_lab(Path(args.bench))
         own = folder if args.calibrations else lab.calibrations
-        return CalibrationStore(own, lab.settings.kind)
-    return CalibrationStore(folder, "emulated" if args.emulated else "simulated")
+        return CalibrationStore(own, lab.settings.kind, f"--bench {args.bench}{other}")
+    if args.emulated:
+        return CalibrationStore(folder, "emulated", f"--emulated{other}")
+    return CalibrationStore(folder, "simulated", other.strip())
 
 
 @contextmanager

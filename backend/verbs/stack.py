@@ -211,6 +211,8 @@ def _session(
         from backend.emulated import EmulatedBench
 
         with EmulatedBench(choice, keep=keep, method=method, registry=registry) as bench:
+            store = CalibrationStore(calibrations_folder(), "emulated", "--emulated")
+            bench.session.calibrations = store
             yield bench.session
         return
     session = simulated_session(choice, keep=keep, method=method, animate=True, registry=registry)

@@ -87,7 +87,7 @@ def test_measuring_asks_the_bench_for_what_is_chosen(wizard, bench) -> None:
 
 def test_a_good_result_is_shown_with_its_residual_and_kept_once_accepted(wizard, bench) -> None:
     sheet = told(wizard, bench, GOOD)
-    assert sheet.figure.text() == "Residual 0.02 N: within the limit of 0.3."
+    assert sheet.figure.text() == "Residual 0.02 N, within the limit of 0.3 N."
     assert sheet.figure.property("tone") == "good"
     assert (sheet.names[0].text(), sheet.values[0].text()) == (
         "Mass", "1.5020 \N{PLUS-MINUS SIGN} 0.0040 kg",

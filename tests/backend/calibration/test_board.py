@@ -83,7 +83,7 @@ def test_a_bottom_that_is_turned_is_turned_back_not_accepted(yaw: float, way: st
     found = estimate_board(TOUCHES, felt_edges((0.0, 0.0), yaw), "board")
     assert found.residual <= found.limit
     assert not found.acceptable
-    assert "2.9 degrees" in found.obstacle
+    assert "2.9°" in found.obstacle
     assert way in found.obstacle
     # Of a piece that is held askew the bottom knows nothing.
     assert estimate_board(TOUCHES, felt_edges((0.0, 0.0), yaw), "piece").obstacle == ""

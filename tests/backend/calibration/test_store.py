@@ -58,7 +58,7 @@ def of_kind(what: What) -> CalibrationMeasured:
 
 @pytest.fixture
 def store(tmp_path) -> CalibrationStore:
-    return CalibrationStore(tmp_path / "calibrations", "hardware")
+    return CalibrationStore(tmp_path / "calibrations", "hardware", "--bench lab.toml")
 
 
 def test_the_file_tells_everything_and_names_itself(store) -> None:
@@ -97,7 +97,7 @@ def test_the_newest_holds_until_it_expires(store) -> None:
     assert standing.record == read_record(newer)
     late = store.standing("payload", DEVICES, NOW + timedelta(94))
     assert (late.condition, late.why) == ("expired", "expired 3 days ago")
-    assert late.fix == "Run 'touchdown calibrate payload'."
+    assert late.fix == "Run 'touchdown calibrate payload --bench lab.toml --accept'."
 
 
 def test_a_calibration_belongs_to_its_devices_and_to_its_kind_of_bench(store) -> None:
@@ -109,6 +109,19 @@ def test_a_calibration_belongs_to_its_devices_and_to_its_kind_of_bench(store) ->
     assert store.standing("payload", {"arm": other["force_torque"]}, NOW).condition == "valid"
     elsewhere = CalibrationStore(store.folder, "simulated")
     assert elsewhere.standing("payload", DEVICES, NOW).condition == "missing"
+
+
+def test_a_device_that_tells_no_number_goes_by_the_name_of_its_port(store) -> None:
+    """The links of an emulated bench lie in another folder each time it is started."""
+
+    def by_port(port: str) -> dict[str, DeviceName]:
+        return {**DEVICES, "force_torque": DeviceName(maker="W", model="Six", serial=port)}
+
+    store.accept(FOUND, by_port("links-1/force_torque"), now=NOW)
+    for port, condition in (
+        ("links-2/force_torque", "valid"), ("links-1/other", "other device"),
+    ):  # fmt: skip
+        assert store.standing("payload", by_port(port), NOW).condition == condition
 
 
 def test_a_changed_or_broken_file_is_said_and_not_used(store) -> None:

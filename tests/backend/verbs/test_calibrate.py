@@ -79,7 +79,7 @@ def test_status_says_what_lacks_and_what_to_do(capsys) -> None:
     store.accept(GOOD, {}, now=datetime.now(UTC))
     assert main(["calibrate", "status"]) == 1
     said = capsys.readouterr().out
-    assert "Run 'touchdown calibrate board'." in said
+    assert "Run 'touchdown calibrate board --accept'." in " ".join(said.split())
     assert main(["calibrate", "status", "--json"]) == 1
     rows = json.loads(capsys.readouterr().out)["calibrations"]
     assert [row["what"] for row in rows] == list(WHATS)

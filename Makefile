@@ -6,6 +6,8 @@ SHELL := /bin/bash
 .PHONY: help setup run demo test check lint types contracts format bench fuzz screens pictures models exchange-check clean
 
 export PYTHON
+# Compiled once, not by every process anew, also where the environment forbids to keep it.
+unexport PYTHONDONTWRITEBYTECODE
 BIN := .venv/bin
 TESTS ?= tests
 WORKERS ?= 2

@@ -7,6 +7,9 @@ import os
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 os.environ["QT_SCALE_FACTOR"] = "1"
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# What is compiled is kept, also where the environment forbids it: each of some hundred processes
+# that the tests start would compile all sources anew, and each worker rewrite the tests.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 import ctypes
 import gc
@@ -26,6 +29,7 @@ import backend.learning.child
 from tests.leaks import leaks_since, snapshot
 from tests.warm import WarmStart
 
+sys.dont_write_bytecode = False
 settings.register_profile(
     "suite", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )

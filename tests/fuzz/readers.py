@@ -1,10 +1,20 @@
-"""Decoders outside the streams: texts of answers, pages, names; looked at for crashes and hangs."""
+"""Decoders without published vectors of a stream: answers, pages, names, pictures of cameras."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from backend.wire import dynpick, gelsight_name, melfa_r3_answers, melfa_r3_positions, net_ft
+import cv2
+import numpy as np
+
+from backend.wire import (
+    dynpick,
+    gelsight_name,
+    melfa_r3_answers,
+    melfa_r3_positions,
+    mjpeg,
+    net_ft,
+)
 from tests.backend.wire.codecs import Codec
 from tests.backend.wire.vectors import VECTORS
 
@@ -37,6 +47,12 @@ def _plain(read: Callable[[bytes], Any], *seeds: bytes) -> Reader:
     return Reader(Codec(None, datagram=read), seeds)
 
 
+def _picture(seed: int) -> bytes:
+    noise = np.random.default_rng(seed).integers(0, 255, (12, 16, 3), dtype=np.uint8)
+    return cv2.imencode(".jpg", noise)[1].tobytes()
+
+
+_PICTURES = tuple(_picture(seed) for seed in range(3))
 _R3 = (
     melfa_r3_answers.read_opened,
     melfa_r3_answers.read_state,
@@ -65,4 +81,8 @@ READERS: dict[tuple[str, str], Reader] = {
     ),
     ("netft-answer", "page"): _plain(net_ft.decode_page, PAGE),
     ("gelsight-mini", "name"): _plain(gelsight_name.decode, *_vectors("gelsight")),
+    ("gelsight-mini", "pictures"): Reader(
+        Codec(lambda picture: picture, stream=mjpeg.JpegStream), _PICTURES
+    ),
+    ("gelsight-mini", "size"): _plain(mjpeg.size_px, *_PICTURES),
 }

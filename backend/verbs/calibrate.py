@@ -171,8 +171,9 @@ def _table(found: CalibrationMeasured) -> Table:
     table = Table(title=TITLES[found.what])
     table.add_column("quantity")
     table.add_column("value", justify="right")
-    for name, *value in zip(found.names, found.values, found.sigmas, found.units, strict=True):
-        table.add_row(name_words(name), value_words(*value))
+    rows = zip(found.names, found.values, found.sigmas, found.units, strict=True)
+    for name, value, sigma, unit in rows:
+        table.add_row(name_words(name), value_words(value, sigma, unit))
     table.add_row("Residual", residual_words(found.residual, found.limit, found.unit))
     return table
 

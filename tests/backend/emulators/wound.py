@@ -1,0 +1,179 @@
+"""The first press of a scene, simulated and over the emulated wires: no thread, no picture.
+
+Time is wound by hand: how late the world is, is a function. Ticks are (20, 6), N and N·m.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+import numpy as np
+
+from backend.assembly import make_scene
+from backend.config.hardware import HardwareSettings
+from backend.config.method import SAMPLES_PER_PROBE, TICK_S, StackSettings
+from backend.config.simulation import SimulationSettings
+from backend.core.clock import HandClock
+from backend.core.flow import FloatArray
+from backend.core.stream import SampleStream
+from backend.devices.force_torque.dynpick import PERIOD_S, DynpickLanguage
+from backend.devices.force_torque.readout import Readout
+from backend.devices.melfa.arm import MelfaArm
+from backend.devices.protocols import PressCommand
+from backend.emulators.joined import LATENCY_S, JoinedDynpick, JoinedScene
+from backend.objects.catalogue import load_catalogue
+from backend.runs.requests import SceneChoice
+from backend.sensing.synchroniser import SyncLimits, wrench_on_ticks
+from backend.simulation.arm import PressLaw
+from backend.simulation.scene import Scene
+from backend.simulation.world import World
+from backend.wire.dynpick import Command
+from tests.backend.devices.emulated_arm import CYCLE_US, SteppedWires
+
+PROBE = StackSettings().probe
+LAW = PressLaw(
+    PROBE.depth_mm,
+    PROBE.ramp_fraction * PROBE.duration_s,
+    PROBE.duration_s,
+    PROBE.approach_mm_s,
+    PROBE.threshold_n,
+    PROBE.start_height_mm + PROBE.max_travel_mm,
+)
+AIR_S = 0.2
+AFTER_S = 0.15
+LONGEST_S = 10.0
+POLL_US = 2000
+"""How often the front of the sensor looks what is due."""
+HARDWARE = HardwareSettings.model_validate(
+    {
+        "melfa": {
+            "servo_delay_s": 0.3,
+            "idle_check_s": 0.0,
+            "realtime_priority": 0,
+            "mxt": {"mxttout": 57},
+        },
+        "ft": {"driver": "dynpick", "address": "wound", "latency_ms": 1e3 * LATENCY_S},
+    }
+)
+
+
+def scene_of(seed: int, settings: SimulationSettings) -> Scene:
+    """Return the scene of a stacking trial: pot on Short or Long."""
+    choice = SceneChoice("pot", (("short", "long")[seed % 2],), seed)
+    return make_scene(load_catalogue(), choice, settings)
+
+
+def simulated_press(seed: int, settings: SimulationSettings, rest_s: float = 1.5) -> FloatArray:
+    """Return the ticks of a press in process; another ``rest_s`` before it is other noise."""
+    world = World(scene_of(seed, settings))
+    _take_piece(world)
+    samples = SampleStream("force_torque", 6, 32_768)
+
+    def step() -> None:
+        sensed = world.step(watched=())
+        world.hear(sensed.t_s, sensed.wrench[:, 2])
+        samples.put(sensed.t_s, sensed.wrench)
+
+    for _ in range(round(1e6 * rest_s / world.cycle_us)):
+        step()
+    tare = _air(samples, 1e-6 * world.now_us)
+    press = world.press(LAW, PROBE.stiffness_n_mm)
+    while not press.done:
+        step()
+    for _ in range(round(1e6 * AFTER_S / world.cycle_us)):
+        step()
+    assert press.onset_s is not None
+    return _on_ticks(samples, press.onset_s, tare)
+
+
+class WoundWires:
+    """Driver of the arm and reading of the sensor on the emulated devices of one scene."""
+
+    def __init__(self, seed: int, settings: SimulationSettings, late_s: Callable[[float], float]):
+        """``late_s``: how late the world is at the end of a cycle, by the time of that end."""
+        self.joined = JoinedScene(scene_of(seed, settings), HARDWARE.melfa)
+        world = self.joined.world
+        seeing = world.step
+        world.step = lambda watched=(): seeing(watched)  # type: ignore[method-assign]
+        _take_piece(world)
+        self.clock, self._late_s = HandClock(), late_s
+        self._sensor = JoinedDynpick(self.joined)
+        self._language = DynpickLanguage(HARDWARE, "wound")
+        self._readout = Readout(HARDWARE.ft, PERIOD_S, 1e-3 * HARDWARE.serial.latency_ms)
+        self.samples = SampleStream("force_torque", 6, 32_768)
+        self._sensor.receive(0.0, Command.START.value)
+        self.wires = SteppedWires(self.joined.melfa, self.clock)
+        self.wires.also = self._pass
+        self.arm = MelfaArm(self.wires, self.samples, HARDWARE.melfa, self.clock.now_s)
+
+    def press(self) -> FloatArray:
+        """Connect, rest, press; return the ticks."""
+        self.arm.connect(1.0, threading.Event())
+        self.wires.advance(1_200_000)
+        tare = _air(self.samples, self.clock.now_s())
+        motion = self.arm.press(_command())
+        for _ in range(round(1e6 * LONGEST_S / CYCLE_US)):
+            if motion.done:
+                break
+            self.wires.advance(CYCLE_US)
+        motion.result()
+        self.wires.advance(round(1e6 * AFTER_S))
+        assert motion.onset_s is not None
+        return _on_ticks(self.samples, motion.onset_s, tare)
+
+    def _pass(self, step_us: int) -> None:
+        end_us = self.clock.now_us + step_us
+        while (next_us := (self.clock.now_us // 500 + 1) * 500) <= end_us:
+            self.clock.wind(next_us - self.clock.now_us)
+            self._tend()
+        self.clock.wind(end_us - self.clock.now_us)
+
+    def _tend(self) -> None:
+        now_s, world = self.clock.now_s(), self.joined.world
+        while True:
+            over_s = 1e-6 * (world.now_us + world.cycle_us)
+            if now_s < over_s + self._late_s(over_s) - 1e-9:
+                break
+            self.joined.step()
+        if self.clock.now_us % POLL_US == 0:
+            readings = self._language.take(self._sensor.due(now_s))
+            self.samples.put(*self._readout.accept(now_s, readings))
+
+
+def force_apart(wanted: FloatArray, found: FloatArray) -> float:
+    """Return in % by how much the mean forces of the hold (ticks 16 to 20) differ."""
+    first, second = (ticks[15:, :3].mean(axis=0) for ticks in (wanted, found))
+    return 100.0 * float(np.linalg.norm(second - first) / np.linalg.norm(first))
+
+
+def bursts(longest_s: float) -> Callable[[float], float]:
+    """Return how late a world is that falls behind by up to so much, every 0.7 s."""
+    return lambda t_s: longest_s * max(0.0, float(np.sin(2.0 * np.pi * t_s / 0.7))) ** 2
+
+
+def _take_piece(world: World) -> None:
+    world.jaws.width_mm = world.scene.piece.width_mm
+    world.jaws.close(PROBE.grip_force_n)
+
+
+def _command() -> PressCommand:
+    return PressCommand(
+        LAW.depth_mm,
+        LAW.ramp_s,
+        LAW.hold_s,
+        LAW.approach_mm_s,
+        LAW.threshold_n,
+        LAW.max_travel_mm,
+        PROBE.stiffness_n_mm,
+    )
+
+
+def _air(samples: SampleStream, now_s: float) -> FloatArray:
+    return np.asarray(samples.window(now_s - AIR_S, now_s).values.mean(axis=0))
+
+
+def _on_ticks(samples: SampleStream, onset_s: float, tare: FloatArray) -> FloatArray:
+    felt = samples.since(0)
+    tick_s = onset_s + TICK_S * np.arange(1, SAMPLES_PER_PROBE + 1)
+    return wrench_on_ticks(felt.t_s, felt.values - tare, tick_s, SyncLimits().wrench_share)

@@ -191,7 +191,7 @@ def _frames_s(frames: Stream[TactileFrame], t_s: float) -> FloatArray:
 
 def _timing_table(timings: Sequence[Timing]) -> Table:
     table = Table(title=f"Time, {WATCHED_S:.0f} s at rest, all on this computer's clock")
-    table.add_column("sensor")
+    table.add_column("sensor", min_width=len("tactile_right"))
     for column in ("samples", "Hz", "interval \N{PLUS-MINUS SIGN}ms, 99 %", "longest ms",
                    "age ms", "age ms, 99 %"):  # fmt: skip
         table.add_column(column, justify="right")

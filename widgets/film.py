@@ -98,6 +98,11 @@ class Film(QWidget):
             view.gone = view.never = ""
             view.show_age(Age.GONE, 0.0, "")
 
+    def limit_height(self, limit_px: int) -> None:
+        """Let no picture grow taller than ``limit_px``: what stands below needs its room."""
+        for view in self.views.values():
+            view.limit_height(limit_px)
+
     def take_reel(self, reel: Reel, span_s: tuple[float, float]) -> None:
         """Take another probe; the next cursor shows it."""
         self.stop()

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QKeyEvent
+from PySide6.QtGui import QKeyEvent, QResizeEvent
 from PySide6.QtWidgets import (
     QComboBox,
     QHBoxLayout,
@@ -41,6 +41,8 @@ ORDERS = (
 )
 STORY_PX = 84
 """What happened shows three lines at the least size of the window."""
+FILM_SHARE = 0.18
+"""Share of the page's height that a picture may take: a taller one would lose its lower edge."""
 FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
 
 
@@ -110,6 +112,10 @@ class ReviewPage(QWidget):
         """Ask for no more than the least height: the views share what there is."""
         return self.minimumHeight()
 
+    def resizeEvent(self, _event: QResizeEvent) -> None:
+        """Let the pictures take their share of the height."""
+        self.film.limit_height(round(FILM_SHARE * self.height()))
+
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Play with Space; while something moves Space never comes here, it stops."""
         if event.key() == Qt.Key.Key_Space and not event.isAutoRepeat():
@@ -166,7 +172,7 @@ class ReviewPage(QWidget):
         self.film.ran.connect(lambda on: self.play.setText("Pause" if on else "Play"))
 
     def _arrange(self) -> None:
-        runs = Panel("Recordings")
+        runs = self.runs_panel = Panel("Recordings")
         choices = QHBoxLayout()
         for combo in (self.kind, self.order):
             combo.setMinimumContentsLength(4)

@@ -14,12 +14,18 @@ from backend.core.faults import InputError
 from backend.runs.journal import NAME
 from widgets.recording_list import RecordingRow
 
-MOST_RUNS = 200
 MOST_DESCRIBED = 50
-"""So many of the newest runs say in the list what they were; older ones once they are opened."""
+"""So many of the newest runs say in the list what they were; older ones once a filter asks for
+words, or once they are opened."""
+SHOWN_ANEW = 100
+"""After so many described runs the filtered list is shown anew."""
 UNREAD = -1
 """Stands for the size of a journal that cannot be read."""
 CANNOT = "cannot be read"
+LOOKING = "Looking for recordings \N{HORIZONTAL ELLIPSIS}"
+NOTHING = "No recordings yet. Every run of the Stack workspace is kept."
+UNLISTED = "The recordings cannot be listed."
+NO_MATCH = "No recording fits filter and kind."
 
 
 class Recordings:
@@ -40,25 +46,33 @@ class Recordings:
         self._read_series, self._failed = series, failed
         self.folders: list[Path] = []
         self.series: list[Series] = []
+        self._titles: list[str] = []
         self._described: dict[Path, tuple[int, str]] = {}
         """Of a run: how long its journal was when it was described, and how."""
         self._to_describe: list[Path] = []
-        self.describing = False
-        """Whether lines of runs are still being read."""
+        self._awaited = 0
+        """Looks at folders and dataset that have not ended."""
+        self._trouble = False
+        """Whether folders or dataset could not be looked at this time."""
+        self._in_hand = False
+        """Whether a run is just being described."""
+        self._all_wanted = False
+        """Whether older runs shall say, too, what they were."""
+
+    @property
+    def describing(self) -> bool:
+        """Whether recordings are looked for, or lines of runs are still being read."""
+        return self._awaited > 0 or self._in_hand
 
     def refresh(self) -> None:
         """Look for recordings; what is chosen stays chosen."""
-        self._page.empty.setText("No recordings yet. Every run of the Stack workspace is kept.")
-        found = [p.parent for p in self._runs.glob(f"*/{NAME}")] if self._runs.is_dir() else []
-        found = sorted(found, key=lambda p: p.name, reverse=True)[:MOST_RUNS]
-        if found != self.folders:
-            self._list(found, self.series)
-        self._page.empty.setVisible(not found and not self.series)
-        # One run after the other: what is chosen meanwhile does not wait for all of them.
-        self._to_describe = found[:MOST_DESCRIBED]
-        if not self.describing:
-            self._describe_next()
-        self._reader.submit(self._read_series, self._take_series, self._failed)
+        self._awaited, self._trouble = self._awaited + 2, False
+        self._say_what_is_there()
+        known = self.folders
+        self._reader.submit(
+            lambda: _looked_for(self._runs, known), self._take_runs, self._could_not_look
+        )
+        self._reader.submit(self._read_series, self._take_series, self._could_not_look)
 
     def show(self) -> None:
         """Show what fits kind and filter, in the chosen order."""
@@ -75,38 +89,61 @@ class Recordings:
         elif order != "kind":
             found.sort(key=lambda at: rows[at].text, reverse=order == "newest")
         self._page.runs.show_order(found)
+        if (words or order == "pair") and not self._all_wanted:
+            self._all_wanted = True
+            self._to_describe += self.folders[MOST_DESCRIBED:]
+            self._describe_next()
+        self._say_what_is_there()
 
     def describe(self, at: int) -> None:
         """Have a run say what it was; read again only if its journal has grown."""
         self._to_describe.insert(0, self.folders[at])
-        if not self.describing:
-            self._describe_next()
+        self._describe_next()
 
-    def _list(self, folders: list[Path], series: list[Series]) -> None:
+    def _list(self, folders: list[Path], titles: list[str], series: list[Series]) -> None:
         chosen = self._page.runs.current
         before: list[Path | str] = [*self.folders, *(one.name for one in self.series)]
-        self.folders, self.series = folders, series
+        self.folders, self._titles, self.series = folders, titles, series
         now: list[Path | str] = [*folders, *(one.name for one in series)]
         self._page.runs.take([
-            *(RecordingRow(run_title(f.name), self._described.get(f, (UNREAD, ""))[1])
-              for f in folders),
+            *(RecordingRow(title, self._described.get(folder, (UNREAD, ""))[1])
+              for folder, title in zip(folders, titles, strict=True)),
             *(RecordingRow(*one.title.split("\n")) for one in series),
         ])  # fmt: skip
         if 0 <= chosen < len(before) and before[chosen] in now:
             self._page.runs.choose(now.index(before[chosen]))
         self.show()
 
+    def _take_runs(self, found: tuple[list[Path], list[str]]) -> None:
+        self._awaited -= 1
+        folders, titles = found
+        # The very same list where nothing changed: thousands are not compared here.
+        if folders is not self.folders:
+            self._list(folders, titles, self.series)
+        # One run after the other: what is chosen meanwhile does not wait for all of them.
+        older = folders[MOST_DESCRIBED:] if self._all_wanted else []
+        self._to_describe = folders[:MOST_DESCRIBED]
+        self._to_describe += [folder for folder in older if folder not in self._described]
+        self._describe_next()
+        self._say_what_is_there()
+
     def _take_series(self, series: list[Series]) -> None:
+        self._awaited -= 1
         # The library hands out the same list as long as nothing changed.
         if series is not self.series:
-            self._list(self.folders, series)
-            self._page.empty.setVisible(not self.folders and not series)
+            self._list(self.folders, self._titles, series)
+        self._say_what_is_there()
+
+    def _could_not_look(self, error: Exception) -> None:
+        self._awaited -= 1
+        self._trouble = True
+        self._say_what_is_there()
+        self._failed(error)
 
     def _describe_next(self) -> None:
-        self.describing = bool(self._to_describe)
-        if not self._to_describe:
-            self.show()
+        if self._in_hand or not self._to_describe:
             return
+        self._in_hand = True
         folder = self._to_describe.pop(0)
         known = self._described.get(folder, (UNREAD, ""))
         self._reader.submit(
@@ -116,11 +153,33 @@ class Recordings:
         )
 
     def _say(self, folder: Path, said: tuple[int, str]) -> None:
+        self._in_hand = False
         self._described[folder] = said
         if folder in self.folders:
-            row = RecordingRow(run_title(folder.name), said[1])
-            self._page.runs.show_row(self.folders.index(folder), row)
+            at = self.folders.index(folder)
+            self._page.runs.show_row(at, RecordingRow(self._titles[at], said[1]))
         self._describe_next()
+        if len(self._to_describe) % SHOWN_ANEW == 0:
+            self.show()
+
+    def _say_what_is_there(self) -> None:
+        """Say why the list is empty, if it is, and how many runs are still to be read."""
+        page, left = self._page, len(self._to_describe)
+        page.runs_panel.detail.setText(f"{left:,} to read" if left > MOST_DESCRIBED else "")
+        there = bool(self.folders or self.series)
+        if (self._awaited and not there) or (self.describing and not page.runs.shown()):
+            page.empty.setText(LOOKING)
+        else:
+            page.empty.setText(NO_MATCH if there else UNLISTED if self._trouble else NOTHING)
+        page.empty.setVisible(not page.runs.shown())
+
+
+def _looked_for(runs: Path, known: list[Path]) -> tuple[list[Path], list[str]]:
+    """Return the runs of a folder, newest first, with their titles; ``known`` if it is the same."""
+    found = [path.parent for path in runs.glob(f"*/{NAME}")] if runs.is_dir() else []
+    found.sort(key=lambda folder: folder.name, reverse=True)
+    found = known if found == known else found
+    return found, [run_title(folder.name) for folder in found]
 
 
 def run_title(name: str) -> str:

@@ -8,6 +8,7 @@ from backend.core.flow import Outcome
 from tests.app.conftest import settle
 from widgets.elided import ElidedLabel
 from widgets.panel import Panel
+from widgets.tactile_view import TactileView
 from widgets.target_panel import TargetButtons
 from widgets.training_tables import LEAST_ROWS, FigureTable
 
@@ -28,10 +29,12 @@ def seen(main, kind):
     return [one for one in page.findChildren(kind) if one.isVisible()]
 
 
-def test_titles_side_by_side_are_in_line(least):
+def test_titles_side_by_side_are_in_line_and_no_tactile_picture_is_cut(least):
     for name in PAGES:
         least.go(name)
         settle(least)
+        for view in seen(least, TactileView):
+            assert view.visibleRegion().boundingRect() == view.rect(), (name, view.geometry())
         rows = {}
         for panel in seen(least, Panel):
             top = panel.mapTo(least.window, QPoint(0, 0)).y()

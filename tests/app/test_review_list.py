@@ -1,5 +1,7 @@
 """The list of recorded runs says what each of them was."""
 
+import threading
+
 import pytest
 from PySide6.QtCore import Qt
 
@@ -84,11 +86,37 @@ def test_the_list_fills_in_newest_first_and_survives_damage(main, qtbot, tmp_pat
     (damaged / NAME).write_text(text)
     main.go("review")
     rows = main.workspaces["review"].page.runs
-    assert texts(main) == [TIME, TIME]
     described(main, qtbot)
     assert texts(main) == [f"{TIME}\nbarrel on short: fell", f"{TIME}\ncannot be read"]
     tip = rows.model().index(0, 0).data(Qt.ItemDataRole.ToolTipRole)
     assert tip == "barrel on short: fell"
+
+
+def test_a_slow_disk_holds_up_the_thread_that_reads_never_the_window(main, qtbot, tmp_path):
+    """As long as the disk does not answer the list says that it looks, not that there is none."""
+    record(tmp_path / "runs" / "20261121-041511-703", [Outcome.FELL])
+    review, disk_answers = main.workspaces["review"], threading.Event()
+    review.reader.submit(disk_answers.wait, lambda _: None, pytest.fail)
+    main.go("review")
+    assert texts(main) == []
+    assert (review.page.empty.text(), review.page.empty.isHidden()) == (recordings.LOOKING, False)
+    disk_answers.set()
+    described(main, qtbot)
+    assert texts(main) == [f"{TIME}\npot on short: fell"]
+    assert review.page.empty.isHidden()
+    review.page.filter.setText("barrel")
+    assert (review.page.empty.text(), review.page.empty.isHidden()) == (recordings.NO_MATCH, False)
+
+
+def test_a_folder_that_cannot_be_listed_is_told_on_a_card(main, qtbot, tmp_path, monkeypatch):
+    def gone(*_):
+        raise OSError(116, "Stale file handle", str(tmp_path / "runs"))
+
+    monkeypatch.setattr(recordings, "_looked_for", gone)
+    main.go("review")
+    described(main, qtbot)
+    assert main.workspaces["review"].page.empty.text() == recordings.UNLISTED
+    assert "Stale file handle" in main.cards.card("REPLAY").text.what
 
 
 def test_recordings_are_sorted_and_the_chosen_one_stays(main, qtbot, tmp_path):
@@ -138,6 +166,18 @@ def test_only_the_newest_are_described_until_one_is_opened(main, qtbot, tmp_path
     main.workspaces["review"].page.runs.choose_row(1)
     described(main, qtbot)
     assert texts(main) == [f"{TIME}\npot on short: placed"] * 2
+
+
+def test_a_filter_finds_older_runs_that_were_not_described_yet(main, qtbot, tmp_path, monkeypatch):
+    monkeypatch.setattr(recordings, "MOST_DESCRIBED", 1)
+    for number, piece in ((701, "pot"), (702, "barrel"), (703, "pot")):
+        record(tmp_path / "runs" / f"20261121-041511-{number}", [Outcome.PLACED], piece=piece)
+    main.go("review")
+    described(main, qtbot)
+    main.workspaces["review"].page.filter.setText("barrel")
+    assert texts(main) == []
+    described(main, qtbot)
+    assert texts(main) == [f"{TIME}\nbarrel on short: placed"]
 
 
 def test_a_run_that_went_on_is_described_again(main, qtbot, tmp_path):
@@ -208,6 +248,7 @@ def test_only_a_device_fault_before_the_release_keeps_a_trial_out_of_the_rate(
     journal.close()
     main.go("review")
     page = main.workspaces["review"].page
+    described(main, qtbot)
     page.runs.choose_row(0)
     described(main, qtbot)
     words = page.score.words

@@ -87,6 +87,7 @@ def test_an_operators_day(day, tmp_path):
     stack(day, pages["stack"])
     day.press(KEY.Key_5, CTRL)
     review = pages["review"]
+    day.wait(lambda: not review.presenter.recordings.describing)
     review.page.runs.choose_row(0)
     day.wait(lambda: not review.presenter.reading)
     assert review.presenter.story.outcomes == pages["stack"].presenter.story.outcomes

@@ -262,8 +262,8 @@ def review(operator):
     done = [fact.outcome for fact in operator.facts() if isinstance(fact, TrialFinished)]
     rate = f"{done.count(Outcome.PLACED)} of {len(done)} placed"
     operator.press("ctrl+5")
-    operator.click("Recorded runs")
-    operator.until(lambda: operator.reads(rate))
+    # As long as runs are looked for a click on the list chooses none.
+    operator.until(lambda: operator.click("Recorded runs") or operator.reads(rate))
     operator.press("space")
     operator.until(lambda: operator.reads("Pause"))
 

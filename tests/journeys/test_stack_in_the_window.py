@@ -114,11 +114,13 @@ def test_stack_look_back_and_review(desk, qtbot, tmp_path):
     assert np.linalg.norm(hull.mean(axis=0) - truth.mean(axis=0)) < 2.5
     # Every run is kept and can be looked at again.
     main.actions.action("review").trigger()
-    main.workspaces["review"].page.runs.choose_row(0)
-    qtbot.waitUntil(lambda: not main.workspaces["review"].presenter.reading, timeout=60_000)
-    assert main.workspaces["review"].page.trials.count() == 1
-    assert len(main.workspaces["review"].page.strip.thumbnails) == len(trial.probes)
-    reviewed = main.workspaces["review"].presenter.story.trial.probes[-1]
+    review = main.workspaces["review"]
+    qtbot.waitUntil(lambda: not review.presenter.recordings.describing, timeout=60_000)
+    review.page.runs.choose_row(0)
+    qtbot.waitUntil(lambda: not review.presenter.reading, timeout=60_000)
+    assert review.page.trials.count() == 1
+    assert len(review.page.strip.thumbnails) == len(trial.probes)
+    reviewed = review.presenter.story.trial.probes[-1]
     assert reviewed.stability.margin_mm == pytest.approx(trial.probes[-1].stability.margin_mm)
 
 

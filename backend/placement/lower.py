@@ -30,15 +30,10 @@ LEAST_SD_MM = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Middle:
-    """The middle of the touched face, ``at_mm``, and its ``covariance_mm2`` (2, 2)."""
+    """The middle of the touched face, ``at_mm``, known within ``sigma_mm`` along x and along y."""
 
     at_mm: XY
-    covariance_mm2: FloatArray
-
-    @property
-    def sigma_mm(self) -> float:
-        """Standard deviation, that of x and y together, per axis."""
-        return sqrt(0.5 * float(np.trace(self.covariance_mm2)))
+    sigma_mm: float
 
     def standing(self, face_mm: XY) -> str:
         """Say where the piece will stand: what an entry needs when the next one comes on top."""
@@ -47,9 +42,7 @@ class Middle:
 
     def drawn(self) -> FloatArray:
         """Return (k, 2) places where it may be, spread evenly: the same ones every time."""
-        value, vector = np.linalg.eigh(self.covariance_mm2)
-        root = vector * np.sqrt(np.maximum(value, 0.0))
-        return np.asarray(np.asarray(self.at_mm) + normal_draws(1)[:, 0] @ root.T)
+        return np.asarray(np.asarray(self.at_mm) + self.sigma_mm * normal_draws(1)[:, 0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,28 +94,11 @@ def middle_of(over: Inset, points_mm: FloatArray, face: Outline) -> Middle:
         off = expected - inset_mm(face, points_mm - at)
         normal = (slope * weight[:, None]).T @ slope + LEAST_SD_MM**2 * np.eye(2)
         at = at + np.linalg.solve(normal, (slope * weight[:, None]).T @ off)
-    return Middle(
-        (float(at[0]), float(at[1])), _covariance(face, points_mm - at, expected, variance)
-    )
-
-
-def _covariance(
-    face: Outline, relative: FloatArray, expected: FloatArray, variance: FloatArray
-) -> FloatArray:
-    """Return (2, 2): as much as the insets of points near the edge vary, and as they misfit."""
-    inset = inset_mm(face, relative)
+    inset = inset_mm(face, points_mm - at)
     near = np.abs(inset) <= EDGE_MM
     varies = (variance + (expected - inset) ** 2)[near]
-    x, y = _slope(face, relative[near]).T
-    alike = max(float(varies.mean()), LEAST_SD_MM**2) if near.any() else AROUND_MM**2
-    # Directions of which no point tells are taken to be as uncertain as the others.
-    prior = np.eye(3)
-    told = np.stack([x * x, 2.0 * x * y, y * y], axis=-1)
-    found = np.linalg.lstsq(
-        np.concatenate([told, prior]), np.concatenate([varies, (alike, 0.0, alike)])
-    )[0]
-    value, vector = np.linalg.eigh(np.array([[found[0], found[1]], [found[1], found[2]]]))
-    return np.asarray((vector * np.maximum(value, LEAST_SD_MM**2)) @ vector.T, dtype=np.float64)
+    sigma_mm = sqrt(float(varies.mean())) if near.any() else AROUND_MM
+    return Middle((float(at[0]), float(at[1])), max(sigma_mm, LEAST_SD_MM))
 
 
 def _slope(face: Outline, relative: FloatArray) -> FloatArray:

@@ -308,7 +308,9 @@ class Session:
             method=self._settings,
             check=lambda c: {**self._check(c), "limits": asdict(self.interlock.limits)},
             open=lambda: self._recorder.open(run_id),
-            set_scene=lambda choice, method: self._bench(self._set_scene(choice), method),
+            set_scene=lambda choice, method: self._bench(
+                self._set_scene(choice, self._used), method
+            ),
             present=self._present,
         )
         return plan_of(request, host)
@@ -360,8 +362,11 @@ class Session:
             placed=placed_by(self._used),
         )
 
-    def _set_scene(self, choice: SceneChoice) -> _Scene:
-        """Build the scene, clear the streams, connect the devices, and let the sensors start."""
+    def _set_scene(self, choice: SceneChoice, used: Used | None = None) -> _Scene:
+        """Build the scene, clear the streams, connect the devices, and let the sensors start.
+
+        ``used``: the calibrations that a run was checked with.
+        """
         self.interlock.forget_stoppers()
         if self.connection is not None:
             stop_with(self.connection, self.interlock)
@@ -375,7 +380,7 @@ class Session:
         cancel = threading.Event()
         for device in stage.devices.values():
             device.connect(5.0, cancel)
-        payload = payload_of(self.calibrations, stage.devices)
+        payload = payload_of(self.calibrations, stage.devices, used)
         payload = stage.payload if payload is None else payload
         sensing = LiveSensing(raw, self.fields, self.wrench, payload)
         now_s = stage.clock.now_s

@@ -69,14 +69,23 @@ def surface_of(piece: Piece, bottom: str, used: Used) -> float:
     return math.nan if piece.grip_height_mm is None else piece.grip_height_mm
 
 
-def payload_of(store: CalibrationStore | None, devices: Mapping[str, Device]) -> FloatArray | None:
-    """Return the measured wrench (6,) of the gripper, hand level; None if none holds."""
-    if store is None:
+def payload_of(
+    store: CalibrationStore | None, devices: Mapping[str, Device], used: Used | None = None
+) -> FloatArray | None:
+    """Return the measured wrench (6,) of the gripper, hand level; None if none holds.
+
+    ``used``: what a run was checked with. Its record counts, whatever has become of the file.
+    """
+    names = device_names(devices)
+    record = None if used is None else used.get("payload")
+    if record is not None:
+        record = None if record.foreign(names) else record
+    elif store is not None:
+        standing = store.standing("payload", names)
+        record = standing.record if standing.condition == "valid" else None
+    if record is None:
         return None
-    standing = store.standing("payload", device_names(devices))
-    if standing.condition != "valid" or standing.record is None:
-        return None
-    values = standing.record.file.values
+    values = record.file.values
     # The height of the centre of mass makes no moment while the hand is level.
     centre_mm = (values["com_x_mm"].value, values["com_y_mm"].value, 0.0)
     return gripper_payload(values["mass_kg"].value, centre_mm)

@@ -160,6 +160,27 @@ def test_a_simulated_bench_uses_what_it_has_and_its_episodes_say_so(tmp_path) ->
         assert told[f"calibration_{what}"] == standing.record.sha256
 
 
+def test_a_run_has_the_payload_it_was_checked_with_though_the_file_is_damaged_since(
+    tmp_path, monkeypatch
+) -> None:
+    session = simulated_session(SimulatedBenchChoice(preset="off"), keep=Keep(None))
+    session.prepare(SceneChoice(estimates=False))
+    store = session.calibrations = filled(tmp_path, session.devices, "simulated")
+    checked = payload_of(store, session.devices)
+    make_stage = session._make_stage
+
+    def damaging(choice, raw):
+        for path in tmp_path.glob("payload-*.json"):
+            path.write_text("[]")
+        return make_stage(choice, raw)
+
+    monkeypatch.setattr(session, "_make_stage", damaging)
+    session.run(StackRequest(strategy="pick-and-place"))
+    assert payload_of(store, session.devices) is None
+    np.testing.assert_array_equal(session._scene.sensing.tare.payload, checked)
+    session.close()
+
+
 def test_a_sensor_that_was_changed_needs_a_new_payload(tmp_path) -> None:
     session = simulated_session(SimulatedBenchChoice(preset="off"), keep=Keep(None))
     session.prepare(SceneChoice(estimates=False))

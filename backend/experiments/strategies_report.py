@@ -38,7 +38,7 @@ def strategy_sections(tables: Json) -> list[Section]:
     if not answers:
         return []
     found = [
-        _stacking(_stacked(tables, answers), tuple(map(_source, answers))),
+        _stacking(_stacked(tables, answers), tuple(_source(one) for one in answers if one["cells"])),
         _asked(_said(tables, answers)),
         _gaps(tables["gaps"] if "gaps" in tables else _own_gaps(answers)),
         _kept(answers),
@@ -111,10 +111,10 @@ def _stacking(cells: Cells, sources: Sequence[str]) -> Section:
 def _source(answer: Json) -> str:
     """Say what an answer holds and which networks read the probes there."""
     names = dict.fromkeys(cell["strategy"] for cell in answer["cells"])
-    models = ", ".join(
+    models = "networks: " * bool(answer.get("models")) + ", ".join(
         f"{piece} {source[:8]}" for piece, source in answer.get("models", {}).items()
     )
-    return f"Counts of {', '.join(names)}: program {answer['code']}; networks: {models}."
+    return f"Counts of {', '.join(names)}: program {answer['code']}; {models or 'no network'}."
 
 
 def _loop(cell: Json) -> Entry:

@@ -95,8 +95,9 @@ class FigureTable(QTableWidget):
     def fit_to_theme(self) -> None:
         """Take the row height of the font scale."""
         height = round(1.55 * QFontMetrics(ui_font(self._theme.scale)).height())
-        self.verticalHeader().setDefaultSectionSize(height)
+        # The least first: below it Qt takes no usual height, and smaller text kept the old rows.
         self.verticalHeader().setMinimumSectionSize(height)
+        self.verticalHeader().setDefaultSectionSize(height)
         self.horizontalHeader().setFixedHeight(height)
         self.setMinimumHeight((1 + LEAST_ROWS) * height + 2 * self.frameWidth())
 

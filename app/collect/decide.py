@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from app.collect.harvest import Held, pair_words, quality_words, read_probe
 from backend.catalogue.dataset import Dataset
 from backend.core.facts import Decision

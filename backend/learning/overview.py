@@ -135,8 +135,9 @@ def _warnings(mine: Sequence[Candidate], split: Split, pairs: Sequence[PairCount
     unmeasured = [pair.bottom for pair in pairs if pair.held_out == 0]
     if unmeasured:
         yield f"No episode of {', '.join(unmeasured)} is held out: nothing is measured on it."
-    if len(held_out) < FEW:
-        yield f"Only {len(held_out)} episodes are held out: their figures are uncertain."
+    if 0 < len(held_out) < FEW:
+        few = "1 episode is" if len(held_out) == 1 else f"{len(held_out)} episodes are"
+        yield f"Only {few} held out: what they measure is uncertain."
 
 
 def _series(some: Sequence[Candidate]) -> set[tuple[str, str]]:

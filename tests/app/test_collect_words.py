@@ -1,11 +1,13 @@
 """What the Collect half says: recorder, time left, an empty pair, notes of the origin."""
 
 import math
+from types import SimpleNamespace
 
 import pytest
 
+from app.collect.decide import words_of
 from app.collect.gauge import Pace, RecorderGauge, time_words
-from app.collect.harvest import Harvest, grip_words, pair_words
+from app.collect.harvest import Harvest, Held, grip_words, pair_words
 from app.collect.origin import OriginNote, note_of, residual_words
 from backend.objects.catalogue import load_catalogue
 
@@ -59,3 +61,17 @@ def test_a_displacement_in_words():
     assert pair_words((1.234, -0.3)) == "+1.2, \N{MINUS SIGN}0.3"
     assert pair_words((1.234, -0.3), 2, " mm") == "+1.23, \N{MINUS SIGN}0.30 mm"
     assert pair_words((math.nan, math.nan), 2, " mm") == "none"
+
+
+@pytest.mark.parametrize(
+    ("offset_mm", "item", "said"),
+    [((1.5, -0.25), 4, "x, y +1.50, \N{MINUS SIGN}0.25 mm, item 5, 1a2b3c4d"),
+     ((math.nan, math.nan), None, "No displacement, no plan, 1a2b3c4d")],
+)  # fmt: skip
+def test_a_probe_says_what_is_not_known_of_it(offset_mm, item, said):
+    quality = SimpleNamespace(accepted=True, slip_mm=0.0, dropped_frames=0)
+    entry = SimpleNamespace(
+        quality=quality, deleted=False, flagged=False, plan_item=item, uuid="0190-1a2b3c4d"
+    )
+    words = words_of(Held(entry, offset_mm), asking=False, running=False, back=True)
+    assert words.where == said

@@ -6,6 +6,8 @@ import pytest
 
 from app.train.words import alone_words, figure_rows
 from backend.learning.alone import HARDWARE_PROBES
+from widgets.theme import Theme, load_resources
+from widgets.training_tables import FigureTable
 
 
 def trained(piece, **bottoms):
@@ -37,3 +39,16 @@ def test_a_model_of_simulations_says_what_it_lacks(probes):
     if probes is not None:
         assert ("approve or step mode only" in said) == (probes < HARDWARE_PROBES)
         assert str(probes) in said
+
+
+def test_rows_of_a_table_follow_the_text_down_as_well_as_up(qapp, qtbot):
+    load_resources()
+    theme, heights = Theme(), []
+    table = FigureTable(theme, "Figures", ("bottom", "IoU"))
+    qtbot.addWidget(table)
+    table.show_rows([("short", "0.5")])
+    for scale in (0.8, 2.0, 0.8):
+        theme.scale = scale
+        table.fit_to_theme()
+        heights.append(table.rowHeight(0))
+    assert heights[0] == heights[2] < heights[1]

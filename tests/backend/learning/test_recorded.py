@@ -148,3 +148,11 @@ def test_leakage_is_told() -> None:
     assert "Collect another campaign" in single.error
     assert single.pairs[0].train == 9
     assert overview([], "", 0.1, 0).error
+
+
+def test_few_held_out_episodes_are_counted_in_words() -> None:
+    ends = []
+    for share in (0.1, 0.2):
+        warnings = overview(of(10, 10), "pot", share, 0).warnings
+        ends += [said.partition(" held out")[0] for said in warnings if said.startswith("Only")]
+    assert ends == ["Only 1 episode is", "Only 2 episodes are"]

@@ -87,7 +87,7 @@ class TrainingFormPanel(Panel):
         self.data, self.labels, self.piece = QComboBox(), QComboBox(), QComboBox()
         self.modality, self.folder = QComboBox(), QToolButton()
         self.numbers, self.divide = _Numbers(), QCheckBox("Divide series by grips")
-        self.start, self.cancel = QPushButton("Start"), QPushButton("Cancel")
+        self.start, self.cancel = QPushButton("Start training"), QPushButton("Cancel")
         self.resume, self.defaults = QPushButton("Resume"), QToolButton()
         self.start.setProperty("role", "primary")
         self.defaults.setProperty("role", "plain")
@@ -154,6 +154,7 @@ class TrainingFormPanel(Panel):
         self.header.addWidget(self.defaults)
         # One row: the table of the split needs the room of a second.
         buttons = QHBoxLayout()
+        buttons.setSpacing(4)
         buttons.addWidget(self.start, 1)
         buttons.addWidget(self.cancel)
         buttons.addWidget(self.resume)

@@ -39,7 +39,7 @@ ORDERS = (
     ("oldest", "Oldest"),
     ("pair", "By pair"),
 )
-STORY_PX = 84
+STORY_PX = 82
 """What happened shows three lines at the least size of the window."""
 FILM_SHARE = 0.18
 """Share of the page's height that a picture may take: a taller one would lose its lower edge."""

@@ -73,7 +73,7 @@ class TrainPage(QWidget):
     def fit_to_theme(self) -> None:
         """Take the sizes and icons of the theme."""
         em = QFontMetrics(ui_font(self._theme.scale)).height()
-        self._left.setMinimumWidth(round(17 * em))
+        self._left.setMinimumWidth(round(20 * em))
         for table in (self.split, self.runs, self.differences, self.figures):
             table.fit_to_theme()
         self.form.draw_icons()

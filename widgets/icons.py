@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.resources import files
 
 from PySide6.QtCore import QByteArray, QRectF, QSize, Qt
-from PySide6.QtGui import QColor, QIcon, QPainter, QPixmap
+from PySide6.QtGui import QColor, QIcon, QPainter, QPixmap, QPixmapCache
 from PySide6.QtSvg import QSvgRenderer
 from PySide6.QtWidgets import QAbstractButton
 
@@ -26,6 +26,9 @@ def fit_icon(*buttons: QAbstractButton) -> None:
 
 def pixmap(name: str, colour: QColor, size_px: int) -> QPixmap:
     """Return icon ``name`` as a square pixmap; raises FileNotFoundError for an unknown one."""
+    kept, drawn = f"icon {name} {colour.name()} {size_px}", QPixmap()
+    if QPixmapCache.find(kept, drawn):
+        return drawn
     source = files("resources").joinpath("icons", f"{name}.svg").read_text(encoding="utf-8")
     renderer = QSvgRenderer(QByteArray(source.replace("currentColor", colour.name()).encode()))
     drawn = QPixmap(size_px, size_px)
@@ -33,4 +36,5 @@ def pixmap(name: str, colour: QColor, size_px: int) -> QPixmap:
     painter = QPainter(drawn)
     renderer.render(painter, QRectF(0, 0, size_px, size_px))
     painter.end()
+    QPixmapCache.insert(kept, drawn)
     return drawn

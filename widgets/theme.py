@@ -24,6 +24,8 @@ LEAST, MOST = 0.8, 2.0
 """Font scales."""
 STYLED = "touchdown-styled"
 """Property of an application that has its style already."""
+FONTS = "touchdown-fonts"
+"""Property of an application that has the bundled fonts already."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +155,15 @@ class Theme:
 
 
 def load_resources() -> None:
-    """Register the bundled interface font and icons with Qt (equal looks on every machine)."""
+    """Register the bundled interface font and icons with Qt (equal looks on every machine).
+
+    Once per application: with each font that comes Qt forgets all that it has measured of any.
+    """
+    application = QApplication.instance()
+    assert application is not None
+    if application.property(FONTS):
+        return
+    application.setProperty(FONTS, True)
     resources = files("resources")
     for style in ("Regular", "Medium", "SemiBold"):
         data = resources.joinpath("fonts", f"Inter-{style}.otf").read_bytes()

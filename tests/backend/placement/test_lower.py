@@ -46,7 +46,7 @@ def test_the_middle_is_found_with_what_is_not_known_of_it(face: Outline) -> None
     """The insets that a network would tell if the middle were normally distributed."""
     rng = np.random.default_rng(3)
     middle, covariance = np.array([3.3, -1.6]), np.array([[1.1, 0.3], [0.3, 0.5]])
-    drawn = rng.multivariate_normal(middle, covariance, 4000)
+    drawn = rng.multivariate_normal(middle, covariance, 800)
     insets = np.stack([inset_mm(face, AROUND - at) for at in drawn])
     found = middle_of(normal(insets.mean(axis=0), insets.std(axis=0)), AROUND, face)
     assert found.at_mm == pytest.approx(middle, abs=0.3)

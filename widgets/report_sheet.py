@@ -101,7 +101,8 @@ class ReportSheet(QDialog):
         self._window = parent
         self.setModal(False)
         self.setWindowTitle("Report of experiments")
-        self.head, self.banner = label("", "head", wrap=True), label("", "title")
+        self.head, self.banner = label("", "head", wrap=True), label("", "title", wrap=True)
+        self.banner.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self.file = ElidedLabel("small")
         self.parts = QListWidget()
         self.parts.setAccessibleName("Parts of the report")
@@ -130,7 +131,7 @@ class ReportSheet(QDialog):
         close.clicked.connect(self.close)
         top, middle, foot = QHBoxLayout(), QHBoxLayout(), QHBoxLayout()
         top.addWidget(self.head, 1)
-        top.addWidget(self.banner)
+        top.addWidget(self.banner, 1)
         middle.setSpacing(GAP)
         middle.addWidget(self.parts)
         middle.addWidget(self.room, 1)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QApplication, QFileDialog
+from PySide6.QtWidgets import QApplication, QFileDialog, QWidget
 
 from app.application import TouchdownApp
 from app.error_hooks import ErrorBox
@@ -13,8 +13,8 @@ from app.review.report_drawing import drawn, in_colours
 from backend.experiments.charts import INK, reliability_chart
 from backend.experiments.reading import read_report
 from widgets.report_grid import ReportGrid
-from widgets.report_sheet import PictureCard
-from widgets.theme import DARK, LIGHT
+from widgets.report_sheet import PictureCard, ReportIntents, ReportSheet
+from widgets.theme import DARK, LIGHT, Theme, load_resources
 
 FULL = Path(__file__).parents[2] / "docs/results/tables-full.json"
 
@@ -61,6 +61,27 @@ def test_the_window_shows_what_the_report_says(review, qtbot, tmp_path):
             shown = grid.item(row, column).data(Qt.ItemDataRole.UserRole)
             lines = (entry.interval, *entry.notes) if entry.interval else entry.notes
             assert (shown.value, shown.lines) == (entry.value, lines)
+
+
+def test_in_text_of_twice_the_size_the_report_fits_into_the_least_window(qapp, qtbot):
+    load_resources()
+    theme, window = Theme(), QWidget()
+    qtbot.addWidget(window)
+    window.resize(1280, 720)
+    try:
+        theme.apply(qapp, "dark", 2.0)
+        sheet = ReportSheet(window, ReportIntents(*(lambda *_: None,) * 4))
+        sheet.show_head(
+            "Touchdown: the paper's experiments, full",
+            "SIMULATED BENCH: no robot moved for these figures",
+            str(FULL),
+            ["Table 1: contact patch from one probe"],
+        )
+        sheet.open_large()
+        QApplication.processEvents()
+        assert (sheet.width(), sheet.height()) == (1220, 660)
+    finally:
+        theme.apply(qapp, "dark", 1.0)
 
 
 def test_a_cell_leads_to_its_run_folder_if_that_is_here(review, qtbot, tmp_path, monkeypatch):

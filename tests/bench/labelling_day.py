@@ -1,4 +1,4 @@
-"""The day of labelling that the tests play with fifty probes, with a hundred of them."""
+"""The day of labelling that the tests play with fewer probes, with a hundred of them."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ MOST_THREADS = 2
 
 
 def threads_here() -> int:
-    """Return on how many threads a training of its own computes where nobody says."""
+    """Return on how many threads a training computes that has the machine to itself."""
     return min(MOST_THREADS, os.cpu_count() or 1)
 
 
@@ -44,8 +44,9 @@ class TrainingJob(Message):
     resume: bool = False
     keep: Path | None = None
     """Folder that takes the manifest of the training set and sample predictions, if any."""
-    threads: Annotated[int, Field(ge=1, le=64)] = Field(default_factory=threads_here)
-    """More than one gain where as many cores are free; other last digits than one thread gives."""
+    threads: Annotated[int, Field(ge=1, le=64)] = 1
+    """More than one gain where as many cores are free, and wait for each other where they are not;
+    other last digits than one thread gives."""
     device: DeviceName = "auto"
 
 

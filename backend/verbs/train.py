@@ -27,8 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--threads",
         type=int,
-        help="processor threads; other last digits with another number (default: 2 where there "
-        "are two cores)",
+        help="processor threads, as many as there are free cores; another number gives other last "
+        "digits (default: 2 where there are two cores)",
     )
     add_device(parser)
     parser.add_argument(
@@ -111,7 +111,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     """Train; 0 when the model is written. Ctrl-C keeps the finished epochs for ``--resume``."""
     # Imported here so that `touchdown --help` starts without torch.
     from backend.learning.child import TrainingProcess
-    from backend.learning.job import Cancelled, Epoch, Finished, Loaded, TrainingJob
+    from backend.learning.job import Cancelled, Epoch, Finished, Loaded, TrainingJob, threads_here
     from backend.learning.run_record import kept_in, note, recorded
 
     settings = {
@@ -130,10 +130,9 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         "settings": parse(TrainingSettings, settings, "arguments"),
         "labels": args.labels,
         "resume": args.resume,
+        "threads": threads_here() if args.threads is None else args.threads,
         "device": args.device,
     }
-    if args.threads is not None:
-        job["threads"] = args.threads
     curve: list[dict[str, object]] = []
     answer: dict[str, object] = {"version": JSON_VERSION}
     asked = parse(TrainingJob, job, "arguments")

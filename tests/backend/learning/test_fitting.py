@@ -8,7 +8,7 @@ import pytest
 from backend.config.method import TrainingSettings
 from backend.core.faults import InputError
 from backend.learning.fitting import fit
-from backend.learning.job import TrainingJob
+from backend.learning.job import TrainingJob, threads_here
 
 
 def test_divergence_is_named_and_leaves_no_model(
@@ -28,10 +28,8 @@ def test_divergence_is_named_and_leaves_no_model(
 
 
 @pytest.mark.parametrize(("cores", "threads"), [(None, 1), (1, 1), (2, 2), (16, 2)])
-def test_a_training_takes_two_threads_where_there_are_two_cores(
+def test_a_training_alone_takes_two_threads_where_there_are_two_cores(
     cores: int | None, threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: cores)
-    data = Path("data")
-    job = TrainingJob(data=data, piece=None, out=data, settings=TrainingSettings())
-    assert job.threads == threads
+    assert threads_here() == threads

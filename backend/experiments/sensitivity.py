@@ -79,11 +79,15 @@ class Sensitivity:
                 continue
             row: Json = {"factor": factor, **press_figures(presses, _MODEL)}
             both = [
-                (store.result(a.id), store.result(b.id))
+                (a.params["bottom"], (store.result(a.id), store.result(b.id)))
                 for a, b in zip(reference, asked, strict=True)
                 if store.has(a.id) and store.has(b.id)
             ]
-            row["iou_change"] = iou_change(both, _MODEL, _MODEL)
+            row["iou_change"] = iou_change([pair for _, pair in both], _MODEL, _MODEL)
+            row["iou_change_on"] = {
+                bottom: iou_change([pair for on, pair in both if on == bottom], _MODEL, _MODEL)
+                for bottom in self.bottoms
+            }
             if trials:
                 row["trials"] = counted([trial for part in trials for trial in part["trials"]])
             yield row

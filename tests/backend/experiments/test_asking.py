@@ -114,6 +114,7 @@ def test_sensitivity_is_asked_once_for_the_bench_itself(tmp_path: Path) -> None:
     shift = tilt["at"][0]["iou_change"]["value"]
     assert shift == pytest.approx(tilt["at"][0]["iou"]["value"] - tilt["at"][1]["iou"]["value"])
     assert shift != 0.0
+    assert tilt["at"][0]["iou_change_on"] == {"short": tilt["at"][0]["iou_change"]}
     page = sensitivity_page(answer)
     assert page.count("<svg") == 2
     assert sensitivity_rows(answer)[0][1] in page

@@ -7,6 +7,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
+from PySide6.QtWidgets import QFileDialog
+
 from app.calibrate.presenter import CalibratePresenter
 from app.connect.presenter import ConnectPresenter
 from backend.calibration.store import CalibrationStore
@@ -131,14 +133,7 @@ def reviewed(stage: Stage, runs: Path) -> Iterator[str]:
         workspace.page.runs.choose_row(row)
         stage.until(lambda: not workspace.reader.busy)
         yield f"review-{name}"
-    reports = workspace.reports
-    reports.open(REPORT)
-    stage.until(lambda: reports.sheet is not None and not workspace.reader.busy)
-    for row in (0, 3, reports.sheet.parts.count() - 1):
-        reports.sheet.parts.setCurrentRow(row)
-        stage.until(lambda: not workspace.reader.busy)
-        yield f"review-report-{row}"
-    reports.sheet.close()
+    yield from _report(stage, "review-report", (0, 3, -1))
 
 
 def trained(stage: Stage, packs: Path) -> Iterator[str]:
@@ -181,6 +176,7 @@ def attended(stage: Stage) -> Iterator[str]:
     bench.hub.publish(OutcomeAwaited(9.0, *judged(pot, side_n=0.3, left_n=0.1, holding=False)))
     stage.live(0.0)
     yield "stack-say-the-outcome"
+    yield from _photo(stage)
     why = "Void: the bottom was put in the wrong place."
     bench.hub.publish(TrialFinished(9.0, 1, 8, Outcome.ABORTED, why, 2, None, None))
     bench.tell_finish()
@@ -188,6 +184,48 @@ def attended(stage: Stage) -> Iterator[str]:
     stage.live(0.0)
     yield "stack-void"
     page.run.show_devices(False)
+
+
+def _photo(stage: Stage) -> Iterator[str]:
+    """A picture of the trial is asked for, then kept beside the journal."""
+    asks, folder = stage.main.workspaces["stack"].attended, stage.folder / "photographed"
+    folder.mkdir()
+    stage.main.window.grab().save(str(folder / "bench.png"))
+    stage.bench.run_folder = folder
+    asks.ask_photo()
+    (dialog,) = stage.main.window.findChildren(QFileDialog)
+    dialog.setDirectory(str(folder))
+    stage.settle()
+    yield "stack-photo-dialog"
+    dialog.reject()
+    asks.add_photo(folder / "bench.png")
+    stage.until(lambda: not asks._files.busy)
+    yield "stack-photo-kept"
+    stage.bench.run_folder = None
+
+
+def in_large_text(stage: Stage, percent: int) -> Iterator[str]:
+    """The label half and a report in text of another size."""
+    main = stage.main
+    main.go("collect")
+    main.workspaces["collect"].page.show_half("label")
+    stage.settle()
+    yield f"text-{percent}-label"
+    main.workspaces["collect"].page.show_half("collect")
+    main.go("review")
+    yield from _report(stage, f"text-{percent}-report", (0, 3))
+
+
+def _report(stage: Stage, name: str, rows: tuple[int, ...]) -> Iterator[str]:
+    workspace = stage.main.workspaces["review"]
+    reports = workspace.reports
+    reports.open(REPORT)
+    stage.until(lambda: reports.sheet is not None and not workspace.reader.busy)
+    for row in rows:
+        reports.sheet.parts.setCurrentRow(row % reports.sheet.parts.count())
+        stage.until(lambda: not workspace.reader.busy)
+        yield f"{name}-{row % reports.sheet.parts.count()}"
+    reports.sheet.close()
 
 
 def sheets(stage: Stage, folder: Path) -> Iterator[str]:

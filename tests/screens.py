@@ -28,7 +28,7 @@ from backend.catalogue.values import EpisodeContext, Label, Looked
 from backend.core.flow import Outcome, PlaceAction
 from backend.objects.catalogue import load_catalogue
 from backend.runs.requests import RunState
-from tests import screen_panels
+from tests import screen_panels, screen_states
 from tests.app.label.conftest import make_episode
 from tests.app.stand_in import StandInBench
 from widgets.fault_cards import CardText, Question
@@ -43,7 +43,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--themes", nargs="*", default=list(THEMES), choices=THEMES)
     parser.add_argument("--sizes", nargs="*", default=[f"{w}x{h}" for w, h in SIZES])
     parser.add_argument("--scale", default="1", help="device pixels per pixel: 1, 1.25, 1.5, 2")
-    parser.add_argument("--only", default="", help="states whose name begins so")
+    parser.add_argument("--only", nargs="*", default=[""], help="states whose name begins so")
     args = parser.parse_args(argv)
     os.environ["QT_SCALE_FACTOR"] = args.scale
     with tempfile.TemporaryDirectory() as folder:
@@ -75,7 +75,7 @@ def _render(args: argparse.Namespace, folder: Path) -> int:
             stage = Stage(application, folder / f"{theme}-{size}", theme)
             stage.main.window.resize(width, height)
             for name in stage.states():
-                if name.startswith(args.only):
+                if name.startswith(tuple(args.only)):
                     stage.settle()
                     stage.grab(out / f"{name}.png")
                     count += 1
@@ -106,7 +106,7 @@ class Stage:
 
     def __init__(self, application: QApplication, folder: Path, theme: str) -> None:
         folder.mkdir()
-        self._folder = folder
+        self.folder = folder
         self._application, self.bench = application, StandInBench()
         self.main = TouchdownApp(application, ErrorBox(), folder / "window.json", folder / "runs")
         self.main.look.show(theme, 1.0)
@@ -158,22 +158,23 @@ class Stage:
             follower._now_s = self.bench.clock_s
         yield from self._operate()
         yield from screen_panels.by_hand(self)
+        yield from screen_states.of_the_pill(self)
         yield from self._collect_and_label()
         yield from self._train_and_review()
-        yield from screen_panels.reviewed(self, self._folder / "runs")
-        yield from screen_panels.trained(self, self._folder.parent / "packs")
+        yield from screen_panels.reviewed(self, self.folder / "runs")
+        yield from screen_panels.trained(self, self.folder.parent / "packs")
         yield from self._stack()
         yield from screen_panels.attended(self)
         yield from self._faults()
         yield from screen_panels.pauses(self)
         yield from self._dialogs()
-        yield from screen_panels.sheets(self, self._folder)
+        yield from screen_panels.sheets(self, self.folder)
         yield from self._large_text()
 
     def _without_a_bench(self) -> Iterator[str]:
-        for page in ("operate", "stack"):
-            self.main.go(page)
-            yield f"connecting-{page}"
+        for name in ("connecting-operate", "connecting-stack"):
+            self.main.go(name.removeprefix("connecting-"))
+            yield name
         self.main._connect_failed(RuntimeError("the model of the pot is missing"))
         yield "no-bench"
         self.main.cards.clear(self.main.cards.codes)
@@ -303,6 +304,7 @@ class Stage:
                 main.go(page)
                 self.live(1.0)
                 yield f"text-{percent}-{page}"
+            yield from screen_panels.in_large_text(self, percent)
         main.look.show(main.look.choice, 1.0)
 
     def live(self, press: float) -> None:

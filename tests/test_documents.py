@@ -63,14 +63,28 @@ def test_every_verb_stands_in_the_readme():
     assert [verb for verb in VERBS if not re.search(rf"`[^`\n]*\b{verb}\b", readme)] == []
 
 
-def test_every_fault_of_the_list_names_tests_that_exist():
-    text = (ROOT / "docs" / "faults.md").read_text("utf-8")
-    rows = re.findall(r"^\| ([A-Z][0-9][^|]*) \| (.+) \|$", text, re.MULTILINE)
-    assert len(rows) >= 45
+@pytest.mark.parametrize(
+    ("page", "row", "least"),
+    [("faults.md", "[A-Z][0-9]", 45), ("window.md", "[0-9]+ ", 18), ("window.md", "H[0-9]+ ", 14)],
+)
+def test_every_row_of_a_list_names_tests_that_exist(page, row, least):
+    text = (ROOT / "docs" / page).read_text("utf-8")
+    rows = re.findall(rf"^\| ({row}[^|]*) \| (.+) \|$", text, re.MULTILINE)
+    assert len(rows) >= least
     written = {
         name
         for path in (ROOT / "tests").rglob("test_*.py")
         for name in re.findall(r"def test_(\w+)", path.read_text("utf-8"))
     }
-    named = {name for _, tests in rows for name in re.findall(r"`(\w+)`", tests)}
-    assert named - written == set()
+    named = [set(re.findall(r"`(\w+)`", tests)) for _, tests in rows]
+    assert all(named)
+    assert set().union(*named) - written == set()
+
+
+def test_every_picture_of_a_state_is_one_that_is_made():
+    text = (ROOT / "docs" / "window.md").read_text("utf-8").partition("## States of the pill")[2]
+    made = "".join((ROOT / "tests" / n).read_text("utf-8")
+                   for n in ("screens.py", "screen_panels.py", "screen_states.py"))  # fmt: skip
+    names = re.findall(r"`([a-z-]+)`", text)
+    assert len(names) >= 18
+    assert [name for name in names if f'"{name}"' not in made] == []

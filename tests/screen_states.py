@@ -1,0 +1,47 @@
+"""States of the bench as the pill names them, for ``make screens``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
+
+from backend.core.facts import PhaseEntered, RunFinished, RunStarted
+from backend.runs.requests import RunState
+from tests.screen_panels import Hand
+
+if TYPE_CHECKING:
+    from tests.screens import Stage
+
+
+def of_the_pill(stage: Stage) -> Iterator[str]:
+    """Servo off, a jog, a probe, a piece that presses, and recovery; on Operate."""
+    bench = stage.bench
+    stage.main.go("operate")
+    hand = bench.hand = Hand()
+    hand.powered = False
+    stage.live(0.0)
+    yield "state-servo-off"
+    hand.powered = hand.jog.active = hand.active = True
+    order = SimpleNamespace(axis="x", speed=20.0, frame="XYZ")
+    hand.jog.state = SimpleNamespace(order=order, speed=20.0, slow="")
+    stage.live(0.0)
+    yield "state-jog"
+    hand.jog.active = hand.active = False
+    hand.jog.state = SimpleNamespace(order=None, speed=0.0, slow="")
+    bench.hub.publish(RunStarted(bench.clock_s(), "probe", "pot", "short", "probe", 0, 1, True,
+                                 "{}", activity="probe"))  # fmt: skip
+    bench.set_state(RunState.RUNNING, probe=1, phase="press")
+    bench.hub.publish(PhaseEntered(bench.clock_s(), "press", 1))
+    stage.live(1.0)
+    yield "state-probing"
+    bench.hub.publish(RunFinished(bench.clock_s(), "probe", "finished", ""))
+    bench.set_state(RunState.IDLE, probe=0, phase="")
+    hand.pressing_n = 6.0
+    stage.live(0.8)
+    yield "state-in-contact"
+    bench.interlock.recovering = True
+    stage.live(0.8)
+    yield "state-recovery"
+    bench.interlock.recovering, bench.hand = False, None
+    stage.live(0.0)

@@ -28,9 +28,11 @@ class UnsavedBanner(QFrame):
         self.discard.clicked.connect(discard)
         self.hide()
 
-    def show_trouble(self, what: str) -> None:
-        """Say why; "" hides the banner."""
+    def show_trouble(self, what: str, *, waits: bool = False) -> None:
+        """Say why; "" hides the banner. ``waits``: it is tried again without anybody's doing."""
         self.text.setText(f"Not saved: {what}" if what else "")
+        for button in (self.again, self.discard):
+            button.setVisible(not waits)
         appears = bool(what) and self.isHidden()
         self.setVisible(bool(what))
         if appears:

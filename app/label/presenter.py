@@ -232,7 +232,10 @@ class LabelPresenter:
 
     def _show_saving(self) -> None:
         page, now, trouble = self._page, self.present, self.saving.trouble
-        page.banner.show_trouble(trouble.what if trouble is not None else "")
+        if waiting := self.saving.waiting:
+            page.banner.show_trouble(_waiting_words(waiting), waits=True)
+        else:
+            page.banner.show_trouble(trouble.what if trouble is not None else "")
         page.view.editable = now is not None and trouble is None
         if now is None:
             page.strip.show_label("", (), "")
@@ -243,7 +246,7 @@ class LabelPresenter:
             saved = "answered blind" if answered else "blind, not answered yet"
             page.strip.show_label("unlabelled", said, "unsaved" if trouble is not None else saved)
             return
-        if trouble is not None or now.edit.changed:
+        if waiting or trouble is not None or now.edit.changed:
             saved = "unsaved"
         else:
             saved = f"saved {clock(now.edit.base.at_ns)}, rev {len(now.history)}"
@@ -300,3 +303,9 @@ class LabelPresenter:
     def looked(self) -> Looked:
         """Return how the person came to the answer."""
         return Looked(self.clock.seen_ms(), self.sitting.hides)
+
+
+def _waiting_words(count: int) -> str:
+    """Say what waits until another program lets go of the dataset."""
+    what = "1 action waits and is" if count == 1 else f"{count} actions wait and are"
+    return f"another program is writing to the dataset. {what} done as soon as it lets go."

@@ -1,7 +1,8 @@
 """What is saved, what is being saved, and what could not be: the next step waits for it.
 
 Whatever is asked for while a save is under way is done after it, in the order in which it was
-asked: keys are never lost and never overtake each other.
+asked: keys are never lost and never overtake each other. A dataset that another program holds is
+waited for; what waits meanwhile is counted.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from typing import TypeVar
 from app.label.commits import Commits
 from backend.core.faults import FaultError, RefusedError, TouchdownError
 
+LOCKED = "CATALOGUE-BUSY"
+"""Code of the fault that another program writes to the dataset."""
 Intent = Callable[[], None]
 Result = TypeVar("Result")
 
@@ -34,7 +37,7 @@ class Saving:
     ) -> None:
         self._commits, self._refused, self._changed = commits, refused, changed
         self._intents: deque[Intent] = deque()
-        self._draining = self._held = False
+        self._draining = self._held = self._locked = False
         self.trouble: Trouble | None = None
         commits.told = self._drain
 
@@ -42,6 +45,11 @@ class Saving:
     def busy(self) -> bool:
         """Whether a save is under way, or the present episode is not there yet."""
         return self._held or self._commits.busy
+
+    @property
+    def waiting(self) -> int:
+        """How many actions wait until another program lets go of the dataset."""
+        return 1 + len(self._intents) if self._locked else 0
 
     def hold(self, held: bool) -> None:
         """Let intents wait while the next episode is still being read."""
@@ -55,16 +63,24 @@ class Saving:
         """Do ``intent`` now, or after the saves that are under way."""
         self._intents.append(intent)
         self._drain()
+        if self._locked:
+            self._changed()
 
     def save(self, work: Callable[[], Result], done: Callable[[Result], None]) -> None:
         """Have ``work`` done on the thread of the saves; ``done`` follows if it succeeded."""
 
         def succeeded(result: Result) -> None:
-            self.trouble = None
+            self.trouble, self._locked = None, False
             done(result)
             self._changed()
 
         def failed(error: Exception) -> None:
+            self._locked = isinstance(error, FaultError) and error.fault.code == LOCKED
+            if self._locked:
+                # The next try waits for the lock as long as this one did: no wait of our own.
+                self._commits.submit(work, succeeded, failed)
+                self._changed()
+                return
             self._intents.clear()
             if isinstance(error, RefusedError):
                 self._refused(error.detail)

@@ -1,6 +1,7 @@
 """What cannot be saved stays in sight; what is saved can be taken back, also after a restart."""
 
 import sqlite3
+from contextlib import closing
 
 import pytest
 
@@ -75,6 +76,31 @@ def test_what_the_database_raises_is_shown_as_well(desk, monkeypatch):
     desk.press(KEY.Key_Right)
     desk.settle()
     assert "disk I/O error" in desk.page.banner.text.text()
+
+
+def test_what_waits_for_another_program_is_counted_and_done_in_order(desk, qtbot):
+    """A second connection holds the dataset; each try gives up after 20 ms instead of 2 s."""
+    dataset, first = desk.workspace.presenter.dataset, desk.uuid
+    dataset.database.first("PRAGMA busy_timeout = 20")
+    with closing(sqlite3.connect(dataset.database.path, isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        desk.press(KEY.Key_Return)
+        qtbot.waitUntil(lambda: desk.saving.waiting == 1, timeout=60_000)
+        desk.press(KEY.Key_Return)
+        desk.press(KEY.Key_PageUp)
+        assert desk.saving.waiting == 3
+        assert "3 actions wait" in desk.page.banner.text.text()
+        assert desk.page.banner.isVisible()
+        assert not desk.page.banner.again.isVisible()
+        assert desk.uuid == first
+        assert desk.book.head(first).state != "submitted"
+        other.execute("ROLLBACK")
+    desk.settle()
+    assert not desk.page.banner.isVisible()
+    # Both labels are saved, and the key that came last went back to the second.
+    assert desk.book.head(first).state == "submitted"
+    assert desk.uuid != first
+    assert desk.book.head(desk.uuid).state == "submitted"
 
 
 def work(desk):

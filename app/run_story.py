@@ -75,9 +75,14 @@ class TrialStory:
 
 
 class RunStory:
-    """Takes facts in order; everything else is reading."""
+    """Takes facts in order; everything else is reading.
 
-    def __init__(self) -> None:
+    ``of_any``: of a run of any activity, as a journal holds it; else a run that does not stack is
+    passed over (a single probe leaves what the last stacking run told).
+    """
+
+    def __init__(self, *, of_any: bool = False) -> None:
+        self._of_any = of_any
         self.head: RunStarted | None = None
         self.trials: list[TrialStory] = []
         self.said = ""
@@ -111,9 +116,9 @@ class RunStory:
         return tuple(t.finished.outcome for t in self.trials if t.finished is not None)
 
     def take(self, fact: Fact) -> None:
-        """Take the next fact; runs of another activity (a single probe) are passed over."""
+        """Take the next fact."""
         if isinstance(fact, RunStarted):
-            self._mine = fact.activity == "stack"
+            self._mine = self._of_any or fact.activity == "stack"
         if not self._mine:
             return
         step = self._steps.get(type(fact))

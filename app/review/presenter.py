@@ -135,8 +135,9 @@ class ReviewPresenter:
         self.timed, self._episodes, self._told = read.trials, [], []
         self._name_parts("Trials", "of the run", "Outcomes")
         self._show_score()
-        trials = self.story.trials
-        self._fill([_trial_title(trial) for trial in trials], len(trials) - 1)
+        lines = [_trial_title(trial) for trial in self.story.trials]
+        lines = lines or ["1.  single probe" for _ in self.timed]
+        self._fill(lines, len(lines) - 1)
 
     def _open_collection(self, collection: Collection) -> None:
         """Show a run that collected: its probes are episodes of the dataset."""
@@ -262,7 +263,10 @@ class ReviewPresenter:
         if head is not None:
             what = ", ".join(activity_words(head)) or head.strategy
             last = f"{head.piece} on {head.bottom}, {what}. {last}"
-        trials = head.trials if head is not None and head.activity == "stack" else 0
+        if head is not None and head.activity != "stack":
+            self._page.score.show_facts(what.capitalize(), last)
+            return
+        trials = 0 if head is None else head.trials
         self._page.score.show_score(score_of(self.story.trials, trials, last))
 
 

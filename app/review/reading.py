@@ -39,7 +39,7 @@ class Reading:
     def read(self) -> ReadRun | None:
         """Return the run, None if it was dropped; raises ``InputError`` or ``OSError``."""
         lines = _lines(journal_path(self._run))
-        story, facts = RunStory(), list[Fact]()
+        story, facts = RunStory(of_any=True), list[Fact]()
         for fact in read_journal(self._run):
             if self._dropped:
                 return None

@@ -8,7 +8,7 @@ import numpy as np
 
 from app.review.page import ReviewPage
 from app.review.recorded import Recorded
-from app.review.timed import PatchScore, TimedTrial
+from app.review.timed import TOUCHING, PatchScore, TimedTrial
 from app.run_story import TrialStory, no_probe, scene_of, truth_of
 from backend.core.facts import Said, TrialFinished
 from backend.core.flow import FloatArray
@@ -24,6 +24,7 @@ SEGMENTS = 96
 NO_RECORDING = DecisionText("No run chosen", "", "", "Choose a recording.")
 NO_READING = DecisionText("No estimate", "", "", "No model has read a probe here.")
 NO_MAP = ("No belief map", "No model has read a probe here.")
+ONE_PROBE = ("No belief map", "The map is fused over a run; one probe alone makes none.")
 
 
 class Replay:
@@ -39,6 +40,11 @@ class Replay:
         self._outlines: tuple[FloatArray | None, FloatArray | None] = (None, None)
         self._said_s = np.zeros(0)
         self._known = -1
+
+    @property
+    def _single(self) -> bool:
+        """Whether a probe is shown that belongs to no stacking run."""
+        return self.trial is not None and self.trial.head.activity == "probe"
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -123,7 +129,7 @@ class Replay:
 
     def _show_strip(self) -> None:
         whole, self._known = self._whole, -1
-        if whole is None or not whole.probes:
+        if whole is None or not whole.probes or self._single:
             ended = whole is not None and whole.finished is not None
             self._page.strip.show_probes([], -1, NO_PROBES if ended else ("", ""))
             return
@@ -159,6 +165,9 @@ class Replay:
         if story is None or not story.probes:
             self._show_no_probe(story)
             return
+        if trial is not None and self._single:
+            self._show_single(trial)
+            return
         index = len(story.probes) - 1
         scene, look = self._scene(story, index), story.probes[index]
         page.belief.show_scene(scene)
@@ -168,6 +177,16 @@ class Replay:
         page.belief_panel.detail.setText(f"probe {look.probe} of {count}")
         page.estimate.setText(score_words(self.score()))
         page.strip.mark(index)
+
+    def _show_single(self, trial: TimedTrial) -> None:
+        """Say what a probe felt that belongs to no stacking run."""
+        patch = trial.patch(self.cursor_s)
+        assert patch is not None
+        share = float(np.mean(patch.patch.probability > TOUCHING))
+        self._page.belief.show_scene(BeliefScene(empty=ONE_PROBE))
+        self._page.decision.show_text(
+            DecisionText("Single probe", "", "", f"Contact on {100 * share:.0f} % of the face.")
+        )
 
     def _show_no_probe(self, story: TrialStory | None) -> None:
         """Say why there is no map at the cursor: none yet, none ever, or nothing chosen."""

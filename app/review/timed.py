@@ -63,7 +63,7 @@ class TimedTrial:
 
     def story(self, cursor_s: float) -> TrialStory:
         """Return what was known of the trial at the cursor."""
-        story = RunStory()
+        story = RunStory(of_any=True)
         story.take(self.head)
         for fact in (self.facts[0], *self.known(cursor_s)[1:]):
             story.take(fact)

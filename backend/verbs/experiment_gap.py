@@ -58,4 +58,5 @@ def tell_gap(args: argparse.Namespace, screen: Screen) -> Json:
         args.out.mkdir(parents=True, exist_ok=True)
         write_atomically(args.out / TABLE, markdown([sheet]).encode())
         write_atomically(file, json.dumps(content, indent=1, sort_keys=True).encode() + b"\n")
+    screen.say(f"Written: {file} and {TABLE}")
     return {"file": str(file), "gaps": rows}

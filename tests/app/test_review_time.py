@@ -22,7 +22,13 @@ from app.review import exports
 from app.review.timed import score_of, trials_of
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.values import EpisodeContext, Label
-from backend.core.facts import EpisodeRecorded, PatchEstimated, RunFinished
+from backend.core.facts import (
+    EpisodeRecorded,
+    PatchEstimated,
+    PhaseEntered,
+    RunFinished,
+    RunStarted,
+)
 from backend.core.flow import FINGERS, ContactPatch, Outcome
 from backend.dataset.episode_file import write_episode
 from backend.objects.catalogue import load_catalogue
@@ -340,6 +346,26 @@ def test_a_damaged_episode_leaves_a_gap_and_a_sentence(start, tmp_path):
     review.choose(0)
     assert len(review.replay.recorded.traces) == PROBES - 1
     assert review.page.signals_panel.detail.text().startswith("2.mcap")
+
+
+def test_a_single_probe_tells_what_it_felt_and_that_it_ended(start, tmp_path):
+    journal = Journal(tmp_path / "runs" / "20261121-041511-703")
+    head = RunStarted(68.0, "run", "pot", "short", "", 0, 1, True, "{}", activity="probe")
+    patch = ContactPatch(np.zeros((4, 2)), np.array([0.9, 0.4, 0.1, 0.2]))
+    felt = PatchEstimated(70.0, patch, (5.2, 12.0), 1)
+    ended = RunFinished(71.0, "run", "finished", "")
+    for fact in (head, PhaseEntered(69.0, "press", 1), felt, PhaseEntered(70.0, "lift", 1), ended):
+        journal(fact)
+    journal.close()
+    review = start()
+    review.choose(0)
+    page = review.page
+    assert [page.trials.item(i).text() for i in range(page.trials.count())] == ["1.  single probe"]
+    assert page.score.words == "Single probe\npot on short, single probe. Run finished."
+    assert review.replay.span_s == (68.0, 71.0)
+    for t_s, said in ((69.5, "nothing to show"), (71.0, "Contact on 25 % of the face.")):
+        review.replay.seek(t_s)
+        assert said in page.decision._text.text()
 
 
 def test_facts_before_the_first_trial_belong_to_none():

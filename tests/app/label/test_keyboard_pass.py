@@ -71,12 +71,15 @@ def test_no_key_of_the_page_moves_the_bench(start):
 def test_arrows_nudge_by_whole_steps(desk):
     before = desk.now.edit.label
     alt = Qt.KeyboardModifier.AltModifier
+    half_a_second = desk.workspace.presenter.editing._nudging
+    half_a_second.setInterval(3_600_000)  # it is over when the test says so
     desk.press(KEY.Key_Right)
     desk.press(KEY.Key_Up, SHIFT)
     desk.press(KEY.Key_Left, alt)
     edit = desk.now.edit
     assert edit.label.x_um == before.x_um + 100 - 10
     assert edit.label.y_um == before.y_um + 1000
+    half_a_second.start(0)
     desk.settle()
     assert len(desk.book.history(desk.uuid)) == 2  # nudges within half a second are one revision
     assert desk.page.strip.saved.endswith("rev 2")

@@ -34,6 +34,9 @@ from backend.simulation.world import Sensed, World
 STIFF_N_MM = 1000.0
 NEXT_PROBE_MM = 2.0
 """A descent below this height over first touch is another probe: its nuisances are drawn."""
+PICTURE_S = 0.040
+"""A world later than this takes no picture: it would be one of another time than it comes at, and
+without pictures the world catches up several times as fast."""
 BEHIND_S = 0.5
 """A world later than this gives up catching up."""
 LATENCY_S = 0.020
@@ -105,9 +108,9 @@ class JoinedScene:
         """Return how things really are."""
         return self.world.truth(animate=animate)
 
-    def step(self) -> Sensed:
-        """Advance the world by one cycle and hand out what was sensed."""
-        sensed = self.world.step()
+    def step(self, behind_s: float = 0.0) -> Sensed:
+        """Advance the world, which is so late, by one cycle and hand out what was sensed."""
+        sensed = self.world.step(FINGERS if behind_s <= PICTURE_S else ())
         rows = np.concatenate([self._felt[1], sensed.wrench])[-KEPT:]
         self._felt = (1e-6 * sensed.end_us, rows)
         for finger in FINGERS:
@@ -126,7 +129,7 @@ class JoinedScene:
             elif wait_s < -BEHIND_S:
                 self._give_up(-wait_s)
             else:
-                self.step()
+                self.step(-wait_s)
 
     def _give_up(self, behind_s: float) -> None:
         """Leave out so much time; no sample from before it is told of it."""

@@ -106,7 +106,7 @@ def test_a_late_world_is_felt_late_and_not_otherwise(bench):
     bench.pass_time(0.1)
     told, felt = dynpick.records(), []
     step = joined.world.step
-    joined.world.step = lambda: felt.append(step()) or felt[-1]
+    joined.world.step = lambda watched: felt.append(step(watched)) or felt[-1]
     sensor.receive(0.1 + LATENCY_S, Command.START.value)
 
     def records(now_s):
@@ -148,6 +148,15 @@ def test_a_late_world_takes_the_arm_where_it_was_then(bench):
     for _ in range(8):
         joined.step()
     assert joined.world.drive.command_mm[2] == pytest.approx(first_mm[2] - 1.0, abs=1e-3)
+
+
+def test_a_world_far_behind_takes_no_picture_of_another_time(bench):
+    for _ in range(10):
+        bench.joined.step(behind_s=0.05)
+    assert bench.joined.picture("left") is None
+    for _ in range(10):
+        bench.joined.step(behind_s=0.03)
+    assert bench.joined.picture("left").shape == (240, 320, 3)
 
 
 def test_a_picture_is_given_once(bench):

@@ -5,6 +5,7 @@ Time is wound by hand: how late the world is, is a function. Ticks are (20, 6), 
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable
 
@@ -93,10 +94,7 @@ class WoundWires:
     def __init__(self, seed: int, settings: SimulationSettings, late_s: Callable[[float], float]):
         """``late_s``: how late the world is at the end of a cycle, by the time of that end."""
         self.joined = JoinedScene(scene_of(seed, settings), HARDWARE.melfa)
-        world = self.joined.world
-        seeing = world.step
-        world.step = lambda watched=(): seeing(watched)  # type: ignore[method-assign]
-        _take_piece(world)
+        _take_piece(self.joined.world)
         self.clock, self._late_s = HandClock(), late_s
         self._sensor = JoinedDynpick(self.joined)
         self._language = DynpickLanguage(HARDWARE, "wound")
@@ -135,7 +133,7 @@ class WoundWires:
             over_s = 1e-6 * (world.now_us + world.cycle_us)
             if now_s < over_s + self._late_s(over_s) - 1e-9:
                 break
-            self.joined.step()
+            self.joined.step(behind_s=math.inf)  # without pictures
         if self.clock.now_us % POLL_US == 0:
             readings = self._language.take(self._sensor.due(now_s))
             self.samples.put(*self._readout.accept(now_s, readings))

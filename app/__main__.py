@@ -18,6 +18,9 @@ def parser() -> argparse.ArgumentParser:
                       help="open with this workspace in front")  # fmt: skip
     made.add_argument("--bench", metavar="FILE", type=Path,
                       help="lab file, or settings of the simulated bench (TOML)")  # fmt: skip
+    made.add_argument("--inject", metavar="FAULT", action="append", default=[],
+                      help="fault of the simulated bench such as force_torque:stop@30, "
+                      "in seconds of its clock")  # fmt: skip
     made.add_argument("--replay", metavar="RUN", type=Path, help="review this recorded run")
     made.add_argument("--reset-layout", action="store_true", help="forget the window settings")
     made.add_argument("--size", metavar="WxH", type=_size, help="size of the window, in pixels")

@@ -18,6 +18,7 @@ from app.link import Link
 from app.measure import Measurement
 from app.review.workspace import ReviewWorkspace
 from app.settings import settings_path
+from backend.core.faults import InputError
 from backend.runs.store import calibrations_folder, data_folder, models_folder
 
 SWITCH_S = 0.0005
@@ -70,11 +71,14 @@ def _show(main: TouchdownApp, args: argparse.Namespace) -> None:
         review.presenter.open(args.replay)
     # Whoever asks for something at the start wants that, not a tour.
     main.tour_due = not (args.grab or args.measure or args.page or args.replay)
-    main.connect_bench(live_bench if args.bench is None else partial(bench_of, args.bench))
+    main.connect_bench(partial(bench_of, args.bench, tuple(args.inject)))
 
 
-def live_bench(settings: Path | None = None) -> Link:
-    """Build the simulated bench with a first scene to look at (on the connecting thread)."""
+def live_bench(settings: Path | None = None, disturbances: tuple[str, ...] = ()) -> Link:
+    """Build the simulated bench with a first scene to look at (on the connecting thread).
+
+    ``disturbances``: texts such as ``force_torque:stop@30``, in seconds of the bench clock.
+    """
     # Imported here, on the connecting thread: the window is there meanwhile.
     from backend.assembly import SimulatedBenchChoice, simulated_session
     from backend.calibration.store import CalibrationStore
@@ -84,7 +88,7 @@ def live_bench(settings: Path | None = None) -> Link:
     from backend.simulation.release_mujoco import available
 
     session = simulated_session(
-        SimulatedBenchChoice(file=settings),
+        SimulatedBenchChoice(file=settings, disturbances=disturbances),
         keep=Keep(data_folder() / "runs"),
         # Asked, it is loaded: while that goes on nothing else runs, for 70 to 130 ms, and at the
         # first release the window stood still that long.
@@ -97,12 +101,21 @@ def live_bench(settings: Path | None = None) -> Link:
     return session
 
 
-def bench_of(file: Path) -> Link:
-    """Build the bench of a file: a lab's devices, not yet connected, or a simulated bench."""
+def bench_of(file: Path | None, disturbances: tuple[str, ...] = ()) -> Link:
+    """Build the bench of a file: a lab's devices, not yet connected, or a simulated bench.
+
+    Raises ``InputError`` for ``disturbances`` of a lab's devices.
+    """
     from backend.config.lab import is_lab_file
 
-    if not is_lab_file(file):
-        return live_bench(file)
+    if file is None or not is_lab_file(file):
+        return live_bench(file, disturbances)
+    if disturbances:
+        raise InputError(
+            "Only the simulated bench has faults on demand.",
+            "--inject",
+            "Leave it out; emulated devices take a fault plan.",
+        )
     from backend.lab import LabChoice, lab_session
     from backend.learning.registry import Registry
     from backend.session import Keep

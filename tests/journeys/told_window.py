@@ -37,9 +37,9 @@ class Told:
     def __init__(self):
         self.session = None
 
-    def bench(self, settings=None):
+    def bench(self, settings=None, disturbances=()):
         """Build the bench as the window does; free moves are fast."""
-        self.session = live_bench(settings)
+        self.session = live_bench(settings, disturbances)
         self.session._settings = brisk_method()
         return self.session
 

@@ -67,12 +67,8 @@ fuzz: setup ## throw damaged bytes at every wire decoder (10 min each; MINUTES=1
 screens: setup ## render every workspace and state, in all themes, into output/screens
 	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.screens 2>/dev/null
 
-pictures: setup ## rewrite the screenshots in docs/img
-	@mkdir -p docs/img
-	@for theme in dark light; do \
-	    QT_QPA_PLATFORM=offscreen $(BIN)/touchdown app --theme $$theme --size 1280x720 \
-	        --grab docs/img/stack-$$theme.png --after 13; \
-	done
+pictures: setup ## make the pictures of README and guide anew, in docs/img
+	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.pictures 2>/dev/null
 
 models: setup ## make the models that ship, from nothing (the longest target: about 50 min)
 	@$(BIN)/touchdown models --pieces pot,mushroom --episodes 4000 --epochs 18 --seed 2

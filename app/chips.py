@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 
@@ -57,6 +58,8 @@ class ChipsPresenter:
         if state == "ready" and age in (Age.STALE, Age.GONE):
             state = "stale"
             detail = f"stale {fresh.age_s(now_s):.1f} s"
+        elif device.state is DeviceState.READY and not math.isfinite(health.age_s):
+            detail = "no data yet"
         elif device.state is DeviceState.READY:
             detail = f"{health.rate_hz:.0f} Hz, {1e3 * max(health.age_s, 0):.0f} ms"
         else:

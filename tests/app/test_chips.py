@@ -1,5 +1,6 @@
 """A chip per device: what one of them suffers is said on its own chip alone."""
 
+from backend.devices.protocols import Health
 from tests.app.conftest import settle
 
 
@@ -33,3 +34,11 @@ def test_a_device_that_drops_out_changes_only_its_own_chip(live, bench):
         device.received, device.lost = 5000, 0
         pass_s(live, bench, 0.6)
         assert set(states(live).values()) == {"ready"}, "it comes back by itself"
+
+
+def test_a_device_without_a_sample_has_no_age_yet(live, bench, monkeypatch):
+    silent = Health(0.0, float("inf"), 0, 0)
+    monkeypatch.setattr(type(bench.devices["arm"]), "health", silent)
+    live._chips._drawn_s = float("-inf")
+    settle(live)
+    assert "no data yet" in live.bar.chips["arm"].value.detail

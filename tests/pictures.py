@@ -1,0 +1,225 @@
+"""Makes the pictures of README and guide anew, from the simulated bench (``make pictures``).
+
+A day at the window on a clock that is turned here, so the pictures show the same on every machine
+but for dates and the free disk. Nothing is taken from this computer's own data.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+
+import cv2
+import numpy as np
+from PySide6.QtCore import QDeadlineTimer, QEventLoop
+from PySide6.QtGui import QImage
+from PySide6.QtWidgets import QApplication
+
+from app.application import TouchdownApp
+from app.error_hooks import ErrorBox
+from backend.__main__ import main as touchdown
+from backend.assembly import simulated_session
+from backend.config.method import TrainingSettings
+from backend.learning.recorded import RecordedTraining, TrainingRequest
+from backend.runs.requests import RunState, SceneChoice
+from backend.session import Keep, Session
+
+SIZE = (1280, 720)
+PARTS = ("stack", "review", "operate", "collect", "train")
+PERSON = "Ann"
+PROBES = 12
+PRESSED_S = 1.6
+"""After so long a press is at its full force."""
+STEPS = 400_000
+"""Turns of the bench's clock after which something has gone wrong."""
+
+
+class Turned:
+    """A session without a thread: its time passes where it is turned."""
+
+    def __init__(self, session: Session) -> None:
+        object.__setattr__(self, "session", session)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.session, name)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        setattr(self.session, name, value)
+
+    def open(self) -> None:
+        """Start nothing."""
+
+
+class Day:
+    """One window on one bench, brought to what its pictures show."""
+
+    def __init__(self, application: QApplication, folder: Path, out: Path) -> None:
+        self._folder, self._out = folder, out
+        runs = folder / "runs"
+        self.session = simulated_session(keep=Keep(runs))
+        self.session.prepare(SceneChoice())
+        self.main = TouchdownApp(application, ErrorBox(), folder / "window.json", runs)
+        self.main.look.show("dark", 1.0)
+        self.main.window.show()
+        self.main.window.resize(*SIZE)
+        self.main.attach(Turned(self.session))  # type: ignore[arg-type]
+        # Data are old by the bench's own clock only: drawing pictures takes its time.
+        live = [getattr(workspace, "live", None) for workspace in self.main.workspaces.values()]
+        for follower in (self.main._chips, *filter(None, live)):
+            follower._now_s = self.session.clock_s
+
+    def until(self, there: Callable[[], bool]) -> None:
+        """Let bench time pass until ``there``."""
+        for count in range(STEPS):
+            self.session.engine.tick()
+            self.session.advance()
+            if count % 10 == 0:
+                self.main.pump.tick()
+                QApplication.processEvents()
+                if there():
+                    return
+        raise RuntimeError(f"The bench did not get there: {self.session.status()}")
+
+    def wait(self, there: Callable[[], bool]) -> None:
+        """Let the window's own threads come to an end."""
+        until = QDeadlineTimer(300_000)
+        while not there():
+            if until.hasExpired():
+                raise RuntimeError("The window did not get there.")
+            QApplication.processEvents(QEventLoop.ProcessEventsFlag.WaitForMoreEvents, 20)
+            self.main.pump.tick()
+
+    def idle(self) -> bool:
+        """Whether no run has the bench."""
+        return self.session.status().state is RunState.IDLE
+
+    def go_on(self) -> None:
+        """Let ``PRESSED_S`` pass on the bench."""
+        until_s = self.session.clock_s() + PRESSED_S
+        self.until(lambda: self.session.clock_s() > until_s)
+
+    def press(self, probe: int) -> None:
+        """Go on until the press of this probe is at its full force."""
+        status = self.session.status
+        self.until(lambda: (status().probe, status().phase) == (probe, "press"))
+        self.go_on()
+
+    def grab(self, name: str, theme: str = "dark") -> None:
+        """Save what stands in the window in a theme."""
+        self.main.look.show(theme, 1.0)
+        for _ in range(20):
+            self.main.pump.tick()
+            QApplication.processEvents()
+        image = self.main.window.grab().toImage().convertToFormat(QImage.Format.Format_BGR888)
+        rows = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), -1)
+        pixels = rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3)
+        # The last bit of a level is noise of the simulated cameras, and a sixth of the file.
+        cv2.imwrite(str(self._out / f"{name}.png"), pixels & 0xFE, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        self.main.look.show("dark", 1.0)
+
+    def stack(self) -> None:
+        """Stack once; its pictures show the third probe."""
+        main, workspace = self.main, self.main.workspaces["stack"]
+        main.go("stack")
+        self.until(lambda: main.bar.pill.state.word == "READY")
+        workspace.page.run._trials.setValue(1)
+        main.actions.action("stack.start").trigger()
+        self.press(3)
+        for theme in ("dark", "light"):
+            self.grab(f"stack-{theme}", theme)
+        self.until(lambda: workspace.presenter.story.ended is not None)
+        self.go_on()
+
+    def operate(self) -> None:
+        """Probe once by hand; the picture shows it pressing."""
+        self.main.go("operate")
+        self.until(lambda: self.main.bar.pill.state.word == "READY")
+        self.main.actions.action("operate.probe").trigger()
+        self.press(1)
+        self.grab("operate")
+        self.until(self.idle)
+
+    def collect(self) -> None:
+        """Collect a small campaign, then open the first of its probes to be labelled."""
+        main, workspace = self.main, self.main.workspaces["collect"]
+        main.go("collect")
+        self.until(lambda: main.bar.pill.state.word == "READY")
+        workspace.label.be(PERSON)
+        self.wait(lambda: workspace.presenter.dataset is not None)
+        target = workspace.collect_page.target
+        target.count.setValue(PROBES)
+        target.ask.setChecked(False)
+        main.actions.action("collect.start").trigger()
+        dataset = workspace.presenter.dataset
+        self.until(lambda: self.idle() and len(dataset.episodes()) == PROBES)
+        self.wait(lambda: not workspace.reader.busy)
+        self.grab("collect")
+        workspace.page.show_half("label")
+        label = workspace.label
+        self.wait(lambda: label.presenter is not None and label.presenter.walk.begun)
+        self.wait(lambda: not label.label_page.nothing.isVisible() and not label.commits.busy)
+        self.grab("label")
+        workspace.page.show_half("collect")
+
+    def train(self) -> None:
+        """Train twice on simulated packs; the first one is looked at."""
+        packs = self._folder / "packs"
+        plan = "--piece pot --episodes 300 --probes-per-grip 10 --grips-per-mounting 1 --workers 1"
+        if touchdown(["simulate", *plan.split(), "--out", str(packs)]):
+            raise RuntimeError("No packs could be simulated.")
+        for modality in ("FT", "FT+Tac"):
+            settings = TrainingSettings(modality=modality, hidden=48, layers=1, epochs=10, seed=1)
+            for _ in RecordedTraining(TrainingRequest(packs, "pot", settings)).reports():
+                QApplication.processEvents()
+        workspace = self.main.workspaces["train"]
+        self.main.go("train")
+        self.go_on()
+        workspace.take_folder(packs)
+        self.wait(lambda: bool(workspace.presenter.runs) and not workspace._commits.busy)
+        self.wait(lambda: workspace.page.form.start.isEnabled() and not workspace._commits.busy)
+        self.grab("train")
+
+    def review(self) -> None:
+        """Look at the stacking run again."""
+        self.main.go("review")
+        workspace = self.main.workspaces["review"]
+        self.wait(lambda: not workspace.presenter.recordings.describing)
+        workspace.page.runs.choose_row(0)
+        self.wait(lambda: not workspace.presenter.reading and not workspace.reader.busy)
+        self.grab("review")
+
+    def close(self) -> None:
+        """End window and bench."""
+        self.main.quit_at_once()
+        self.main.close()
+
+
+def main(argv: list[str]) -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.pictures", description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("docs/img"))
+    parser.add_argument("--only", nargs="*", default=list(PARTS), choices=PARTS,
+                        help="these alone; review shows what stack leaves")  # fmt: skip
+    args = parser.parse_args(argv)
+    args.out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        for name in ("TOUCHDOWN_DATA", "TOUCHDOWN_CONFIG"):
+            os.environ[name] = folder
+        os.environ["USER"] = os.environ["LOGNAME"] = PERSON
+        day = Day(QApplication([]), Path(folder), args.out)
+        try:
+            for part in args.only:
+                getattr(day, part)()
+        finally:
+            day.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

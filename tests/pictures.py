@@ -32,12 +32,12 @@ from backend.runs.requests import RunState, SceneChoice
 from backend.session import Keep, Session
 
 SIZE = (1280, 720)
-PARTS = ("stack", "review", "operate", "collect", "train")
+PARTS = ("operate", "stack", "review", "collect", "train")
 PERSON = "Ann"
 PROBES = 12
 PRESSED_S = 1.6
 """After so long a press is at its full force."""
-STEPS = 400_000
+STEPS = 100_000
 """Turns of the bench's clock after which something has gone wrong."""
 
 

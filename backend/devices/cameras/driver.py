@@ -121,11 +121,13 @@ class TactileCamera:
         for thread in self._threads:
             thread.start()
         end_s = self._now_s() + timeout_s
-        while not self._first.wait(READ_S):
-            if cancel.is_set() or self._now_s() > end_s:
-                why = "Connecting was cancelled." if cancel.is_set() else "No picture comes."
+        while not self._first.wait(READ_S) or cancel.is_set():
+            if cancel.is_set():
                 self.close()
-                raise FaultError(self._why or link_fault(self.name, why))
+                raise FaultError(link_fault(self.name, "Connecting was cancelled."))
+            if self._now_s() > end_s:
+                self.close()
+                raise FaultError(self._why or link_fault(self.name, "No picture comes."))
 
     def close(self) -> None:
         """Stop reading and release the camera; one that blocks is left to end by itself."""

@@ -153,8 +153,8 @@ def test_connecting_can_be_cancelled(cameras):
     cancel = threading.Event()
     cancel.set()
     cameras.fronts["left"].inject("silent")
-    # Where the computer stalls meanwhile, the silence itself may be noticed first.
-    with pytest.raises(FaultError, match=r"cancelled|no picture for"):
+    # A picture may have come before: cancelled is cancelled.
+    with pytest.raises(FaultError, match="cancelled"):
         cameras.driver.connect(60.0, cancel)
     assert cameras.driver.state is DeviceState.CLOSED
 

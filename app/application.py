@@ -391,6 +391,7 @@ class TouchdownApp(QObject):
                 self.inspect.draw()
             if self.panels is not None:
                 self.panels.draw()
+            self._closing.draw(self.link)
             pace = f"{self.pace:.2f}\N{MULTIPLICATION SIGN} real time" if self.pace else ""
             self.window.show_right(pace)
         self.bar.pill.show_state(pill_of(self.link))

@@ -218,6 +218,8 @@ class FaultCards(QWidget):
         self._on_reset = on_reset
         self._cards: dict[str, FaultCard] = {}
         self._question: QFrame | None = None
+        self.asks: Question | None = None
+        """The question that stands."""
         self._unfolded = False
         self.folded = False
         """Whether they are one line in the foot of the window: nothing is covered."""
@@ -262,7 +264,9 @@ class FaultCards(QWidget):
         self._lay_out()
 
     def ask(self, question: Question) -> None:
-        """Show a question; the former one is withdrawn."""
+        """Show a question; the former one is withdrawn, its focus goes to the first answer."""
+        focus = QGuiApplication.focusObject()
+        focused = self._question is not None and focus in self._question.children()
         self.withdraw()
         frame = QFrame()
         frame.setProperty("role", "question")
@@ -272,18 +276,20 @@ class FaultCards(QWidget):
             answer = _Answer(text, self.withdraw, action)
             answer.setAccessibleName(f"{text}: {question.text}")
             row.addWidget(answer)
-        self._question = frame
+        self._question, self.asks = frame, question
         self.folded = False
         self._lay_out()
         self._column.insertWidget(0, frame)
         self.show()
+        if focused:
+            frame.findChildren(QPushButton)[0].setFocus()
 
     def withdraw(self) -> None:
         """Remove the question."""
         if self._question is not None:
             self._question.hide()
             self._question.deleteLater()
-            self._question = None
+            self._question = self.asks = None
         self._lay_out()
 
     def fold(self) -> None:

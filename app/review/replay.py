@@ -17,6 +17,7 @@ from widgets.belief_scene import BeliefScene
 from widgets.decision_panel import DecisionText, decide_in_words
 from widgets.film import latest
 from widgets.probe_strip import NO_PROBES, caption_of
+from widgets.recorded_traces import NOTHING
 from widgets.score_panel import WORDS
 from widgets.time_line import TimeScene
 
@@ -71,6 +72,9 @@ class Replay:
         self._page.story.clear()
         self._page.story.addItems([text for _, text in lines] or list(told))
         self._page.signals_panel.detail.setText("")
+        why = NOTHING if trial is not None else NO_RECORDING.text.rstrip(".")
+        for view in (self._page.forces, self._page.moments):
+            view.show_trace(None, why=why)
         self._show_strip()
         self.take(Recorded())
 

@@ -109,7 +109,10 @@ class Dataset:
         is_there = (folder / DESCRIPTION).is_file()
         if not is_there and not (create and write):
             raise InputError(
-                "There is no dataset.", str(folder), "Name the folder that holds dataset.json."
+                "There is no dataset.",
+                str(folder),
+                "Collect probes first ('touchdown collect', or Ctrl+2 in the window), or name the "
+                "folder that holds dataset.json.",
             )
         make_folder(folder)
         lock = WriterLock.take(folder, person) if write else None

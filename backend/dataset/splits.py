@@ -18,6 +18,8 @@ from backend.core.faults import InputError
 from backend.dataset.rows import TrainingRows
 
 MIN_MOUNTINGS = 30
+SIMULATED = "of simulated probes make more ('touchdown simulate --episodes 2000')"
+"""The cure where nothing was collected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +60,8 @@ def split_grips(
         raise InputError(
             "All episodes come from one grip, so validation would see what training saw.",
             "grip_id",
-            "Collect another campaign of this piece, or one with fewer probes per grip.",
+            "Collect another campaign of this piece, or one with fewer probes per grip; "
+            f"{SIMULATED}.",
         )
     return _hold_out(keys, "grip", share, seed)
 
@@ -81,8 +84,8 @@ def split_series(mounting_id: Sequence[str], pair: Sequence[str], share: float, 
             if len(of_pair) < 2
             else "There is one series only of each pair, so validation would know its errors.",
             "mounting_id",
-            "Collect another campaign of the same pair (each is a series of its own), or choose to "
-            "divide series by grips (--divide-series).",
+            "Collect another campaign of the same pair (each is a series of its own); "
+            f"{SIMULATED}. Or choose to divide series by grips (--divide-series).",
         )
     chosen = _chosen_series(sizes, of_pair, share * len(keys), seed)
     held_out = np.array([key in chosen for key in keys])

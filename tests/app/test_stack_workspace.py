@@ -312,6 +312,27 @@ def test_closing_while_running_asks_and_stops_first(live, bench):
     assert not live.window.isVisible()
 
 
+def test_the_question_follows_what_it_asks_about(live, bench):
+    def answers():
+        asked = live.cards.asks
+        return [b for b in live.cards.findChildren(QPushButton) if asked.text in b.accessibleName()]
+
+    bench.set_state(RunState.RUNNING)
+    live.window.close()
+    answers()[1].setFocus()
+    settle(live)
+    assert "A run is active" in live.cards.asks.text
+    bench.set_state(RunState.IDLE)
+    settle(live)
+    assert "It has ended" in live.cards.asks.text
+    assert [button.text() for button in answers()] == ["Stay", "Close"]
+    # The answer that had the focus is gone: Space must not close now what it would have kept.
+    assert answers()[0].hasFocus()
+    answers()[1].click()
+    assert bench.stops == 0
+    assert not live.window.isVisible()
+
+
 def test_an_unexpected_failure_also_ends_the_connecting(main, qtbot, monkeypatch):
     monkeypatch.setattr("threading.excepthook", lambda args: None)
 

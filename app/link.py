@@ -16,6 +16,7 @@ from backend.core.hush import Hush
 from backend.core.stream import SampleStream, Stream
 from backend.devices.interlock import Interlock, Limits
 from backend.devices.protocols import Device
+from backend.learning.checkpoint import Card
 from backend.objects.catalogue import Catalogue
 from backend.rig.connection import Connection
 from backend.runs.gate import Gate
@@ -81,6 +82,10 @@ class Link(Protocol):
     @property
     def hand(self) -> Hand | None:
         """What the operator may do by hand on the present scene."""
+
+    @property
+    def model(self) -> Card | None:
+        """What reads the probes of the present scene; None where no model does."""
 
     def clock_s(self) -> float:
         """Return the bench clock."""

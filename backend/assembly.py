@@ -150,24 +150,29 @@ def shipped_model(piece: str) -> Path:
 class Models:
     """The trained models of a bench: each file is read once for a piece.
 
-    Without a file in the choice it is the model in use of ``registry``, else the one that ships.
+    Without a file in the choice it is the model in use of ``registry``, else the one that ships;
+    a run keeps the one that it was checked with, whatever is promoted meanwhile.
     """
 
     def __init__(self, registry: Registry | None, facts: BenchFacts, grid_mm: float) -> None:
         self._registry, self._facts, self._grid_mm = registry, facts, grid_mm
         self._loaded: dict[tuple[Path, str], Estimator] = {}
+        self._checked: dict[str, Path] = {}
 
     def of(self, choice: SceneChoice, piece: Piece) -> Estimator | None:
         """Return the model of a scene, None if it needs none; raises ``InputError``."""
         if not choice.estimates:
             return None
-        path = Path(choice.model) if choice.model else model_in_use(choice.piece, self._registry)
+        path = Path(choice.model) if choice.model else self._checked.get(choice.piece)
+        path = path or model_in_use(choice.piece, self._registry)
         if (path, piece.name) not in self._loaded:
             self._loaded[path, piece.name] = Estimator.load(path, piece)
         return self._loaded[path, piece.name]
 
     def check(self, choice: SceneChoice, piece: Piece) -> Estimator | None:
-        """Return the model as ``of``; ``InputError`` if it must not decide ``alone`` here."""
+        """Return the model for a run that begins; ``InputError`` if it must not be ``alone``."""
+        if choice.estimates and not choice.model:
+            self._checked[choice.piece] = model_in_use(choice.piece, self._registry)
         loaded = self.of(choice, piece)
         if loaded is not None and choice.alone:
             card = loaded.card

@@ -34,8 +34,10 @@ from backend.devices.interlock import Interlock, Limits
 from backend.devices.jog import Around
 from backend.devices.protocols import Device
 from backend.devices.supervision import Supervision
+from backend.learning.checkpoint import Card
 from backend.objects.catalogue import Catalogue
 from backend.placement.below import Below
+from backend.placement.estimator import Estimator
 from backend.rig.connection import Connection
 from backend.runs.bench import Bench
 from backend.runs.calibrated import Used, as_metadata, calibrations_for, payload_of, surface_of
@@ -50,7 +52,7 @@ from backend.runs.plans import plan_of
 from backend.runs.recording import Keep, Recorder
 from backend.runs.requests import Request, RunStatus, SceneChoice, SetRequest
 from backend.runs.stage import Stage
-from backend.runs.standing import FaultTeller, refuse_on_devices, stop_with
+from backend.runs.standing import FaultTeller, refuse_contact, refuse_on_devices, stop_with
 from backend.sensing.live import LiveSensing, RawStreams
 
 __all__ = ["Keep", "Session"]
@@ -157,6 +159,12 @@ class Session:
         """What the operator does by hand on the present scene (None before the first)."""
         return None if self._scene is None else self._scene.hand
 
+    @property
+    def model(self) -> Card | None:
+        """What reads the probes of the present scene (None where no model does)."""
+        estimator = None if self._scene is None else self._scene.stage.estimator
+        return estimator.card if isinstance(estimator, Estimator) else None
+
     def clock_s(self) -> float:
         """Return the bench clock of the present scene."""
         return 0.0 if self._scene is None else self._scene.stage.clock.now_s()
@@ -171,7 +179,7 @@ class Session:
         if self.interlock.recovering:
             raise RefusedError("RECOVERY", "After a fault: jog away from contact first.")
         if not isinstance(request, SetRequest):
-            self._refuse_contact()
+            refuse_contact(self.hand)
             self._refuse_turned()
             if self.hand is not None and not self.hand.powered:
                 raise RefusedError("SERVO-OFF", "The servo of the arm is off: switch it on first.")
@@ -276,15 +284,6 @@ class Session:
             raise RefusedError("BUSY", "A run is going on: cancel it first.")
         if self.hand is not None and self.hand.active:
             raise RefusedError("BY-HAND", "The bench is being moved by hand: let go first.")
-
-    def _refuse_contact(self) -> None:
-        """Refuse to move off sideways, or to tare and reference, while the piece presses."""
-        pressing_n = 0.0 if self.hand is None else self.hand.pressing_n
-        if pressing_n:
-            raise RefusedError(
-                "IN-CONTACT",
-                f"The piece presses with {pressing_n:.1f} N: lift before you start (jog +Z).",
-            )
 
     def _refuse_turned(self) -> None:
         """Refuse to probe with a turned face: what it feels would mean something else."""

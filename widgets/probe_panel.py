@@ -8,6 +8,7 @@ from PySide6.QtCore import QRectF, QSize, Qt
 from PySide6.QtGui import QFontMetrics, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QHBoxLayout, QPushButton, QSizePolicy, QWidget
 
+from widgets.elided import ElidedLabel
 from widgets.panel import Panel, label
 from widgets.theme import Theme, ui_font
 
@@ -72,7 +73,7 @@ class ProbePanel(Panel):
         on_cancel: Callable[[], None],
     ) -> None:
         super().__init__("Probe")
-        self.values = label("", "small", wrap=True)
+        self.values, self.model = label("", "small", wrap=True), ElidedLabel("small")
         self.strip = PhaseStrip(theme, phases)
         self.result = label("No probe yet.", wrap=True)
         self.probe, self.cancel = QPushButton("Probe once"), QPushButton("Cancel")
@@ -87,9 +88,15 @@ class ProbePanel(Panel):
         row.addWidget(self.probe, 2)
         row.addWidget(self.cancel, 1)
         self.column.addWidget(self.values)
+        self.column.addWidget(self.model)
         self.column.addWidget(self.strip)
         self.column.addWidget(self.result)
         self.column.addLayout(row)
+
+    def show_model(self, short: str, full: str) -> None:
+        """Say which model reads the probe, with all about it in the tool tip."""
+        self.model.setText(short)
+        self.model.setToolTip(full)
 
     def show_buttons(self, *, probe: bool, cancel: bool, why: str) -> None:
         """Enable what is allowed now."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from PySide6.QtCore import Signal
 from PySide6.QtWidgets import (
     QComboBox,
     QDoubleSpinBox,
@@ -16,6 +17,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from widgets.elided import ElidedLabel
 from widgets.icons import fit_icon, icon
 from widgets.number_inset import inset
 from widgets.panel import Panel, label
@@ -68,7 +70,9 @@ class RunButtons:
 
 
 class RunPanel(Panel):
-    """The form and its buttons."""
+    """The form and its buttons; ``chosen`` when the piece or the strategy is another."""
+
+    chosen = Signal()
 
     def __init__(
         self,
@@ -83,6 +87,7 @@ class RunPanel(Panel):
         self._seed, self._trials = QSpinBox(), QSpinBox()
         self._origin = QDoubleSpinBox(), QDoubleSpinBox()
         self._strategy, self._mode = QComboBox(), QComboBox()
+        self._model = ElidedLabel("small")
         self._seed.setRange(0, 999_999)
         self._trials.setRange(1, 100)
         for box in self._origin:
@@ -100,6 +105,8 @@ class RunPanel(Panel):
         self.start.clicked.connect(on_start)
         self.pause.clicked.connect(on_pause)
         self.cancel.clicked.connect(on_cancel)
+        for combo in (self._piece, self._strategy):
+            combo.currentIndexChanged.connect(lambda _: self.chosen.emit())
         self._tips()
         self._arrange()
         self.show_buttons(RunButtons(start=False, pause=False, cancel=False, paused=False))
@@ -144,9 +151,11 @@ class RunPanel(Panel):
         x, y = self._origin
         self._origin_words = _buddy("Origin x", x), _buddy("y", y)
         for column, widget in enumerate((self._origin_words[0], x, self._origin_words[1], y)):
-            form.addWidget(widget, 6, column)
+            form.addWidget(widget, 7, column)
         self.show_devices(False)
-        for row, (text, field) in ((4, ("Strategy", self._strategy)), (5, ("Mode", self._mode))):
+        form.addWidget(_buddy("Model", self._model), 5, 0)
+        form.addWidget(self._model, 5, 1, 1, 3)
+        for row, (text, field) in ((4, ("Strategy", self._strategy)), (6, ("Mode", self._mode))):
             form.addWidget(_buddy(text, field), row, 0)
             form.addWidget(field, row, 1, 1, 3)
         buttons = QHBoxLayout()
@@ -174,6 +183,12 @@ class RunPanel(Panel):
             for key, title in entries:
                 combo.addItem(title, key)
         self.show_form(form)
+
+    def show_model(self, short: str, full: str) -> None:
+        """Say which model reads the probes, with all about it in the tool tip."""
+        self._model.setText(short)
+        self._model.setToolTip(full)
+        self._model.setAccessibleName(f"Model: {short}")
 
     def show_devices(self, devices: bool) -> None:
         """Show the origin where an arm has to find the bottom."""

@@ -7,6 +7,7 @@ from datetime import datetime
 from app.activity import busy, why_no_run
 from app.cards import refusal_card
 from app.link import Link
+from app.model_words import scene_words
 from backend.config.method import ProbeSettings
 from backend.core.facts import (
     EpisodeRecorded,
@@ -17,7 +18,7 @@ from backend.core.facts import (
     RunStarted,
 )
 from backend.core.faults import InputError, RefusedError
-from backend.runs.requests import ProbeRequest
+from backend.runs.requests import ProbeRequest, SceneChoice
 from widgets.fault_cards import CardText, FaultCards
 from widgets.probe_panel import ProbePanel
 
@@ -31,7 +32,9 @@ class ProbePresenter:
         self._link, self._panel, self._cards = link, panel, cards
         self._mine = False
         self._felt: list[str] = []
+        self._piece, self._model = SceneChoice().piece, link.model
         panel.values.setText(values_text(ProbeSettings()))
+        self.show_model()
 
     def start(self) -> None:
         """Probe once."""
@@ -51,9 +54,15 @@ class ProbePresenter:
         if self._mine:
             self._link.engine.cancel()
 
+    def show_model(self) -> None:
+        """Say which model reads the next probe: that of the scene, if another was promoted."""
+        words = scene_words(self._model, self._piece, simulated=self._link.simulated)
+        self._panel.show_model(f"Model: {words.short}", words.full)
+
     def take(self, fact: Fact) -> None:
         """Follow the facts of a probe run."""
         if isinstance(fact, RunStarted):
+            self._piece = fact.piece
             self._mine = fact.activity == "probe"
             self._felt = []
             if self._mine:
@@ -80,6 +89,9 @@ class ProbePresenter:
         self._panel.show_buttons(
             probe=not active and not why, cancel=active and self._mine, why=why
         )
+        if self._link.model is not self._model:
+            self._model = self._link.model
+            self.show_model()
         self._panel.detail.setText(self._link.status().phase if active and self._mine else "")
 
     def _note_episode(self, fact: EpisodeRecorded) -> None:

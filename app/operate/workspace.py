@@ -76,6 +76,11 @@ class OperateWorkspace(Workspace):
         """Say why there is no bench yet."""
         self.page.show_waiting(why)
 
+    def enter(self) -> None:
+        """Another model may have been put in use meanwhile."""
+        if self.probe is not None:
+            self.probe.show_model()
+
     def leave(self) -> None:
         """Nothing moves by hand on a page that is not seen."""
         self.page.jog.hold.end("another page came to the front")

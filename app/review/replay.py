@@ -22,7 +22,7 @@ from widgets.score_panel import WORDS
 from widgets.time_line import TimeScene
 
 SEGMENTS = 96
-NO_RECORDING = DecisionText("No run chosen", "", "", "Choose a recording.")
+NO_RECORDING = DecisionText("No recording chosen", "", "", "Choose one in the list.")
 NO_READING = DecisionText("No estimate", "", "", "No model has read a probe here.")
 NO_MAP = ("No belief map", "No model has read a probe here.")
 ONE_PROBE = ("No belief map", "The map is fused over a run; one probe alone makes none.")
@@ -72,7 +72,7 @@ class Replay:
         self._page.story.clear()
         self._page.story.addItems([text for _, text in lines] or list(told))
         self._page.signals_panel.detail.setText("")
-        why = NOTHING if trial is not None else NO_RECORDING.text.rstrip(".")
+        why = NOTHING if trial is not None else NO_RECORDING.verdict
         for view in (self._page.forces, self._page.moments):
             view.show_trace(None, why=why)
         self._show_strip()
@@ -97,6 +97,8 @@ class Replay:
             if view.trace is not trace:
                 view.show_trace(trace)
         page.show_cursor(self.cursor_s)
+        if self.trial is None:
+            page.film.show_none()
         at = latest(self._said_s, self.cursor_s)
         page.story.setCurrentRow(at)
         if at < 0:

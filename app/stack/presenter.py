@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from app.activity import ACTIVE, busy, why_no_run
 from app.link import Link
+from app.model_words import model_words
 from app.outlines import outlines
 from app.run_story import ProbeLook, RunStory, TrialStory, no_probe, scene_of
 from app.stack.page import StackPage
@@ -49,6 +50,7 @@ class StackPresenter:
     def start(self) -> None:
         """Begin the run that is filled in."""
         if not busy(self._link):
+            self.show_model()
             self.begin(request_of(self._page.run.form()))
 
     def begin(self, request: StackRequest) -> bool:
@@ -96,6 +98,12 @@ class StackPresenter:
         self._shown_versions = [-1] * len(self._pieces)
 
     # -- showing ----------------------------------------------------------------------------------
+
+    def show_model(self) -> None:
+        """Say which model a run of the filled in form would take; read anew, it may be another."""
+        form = self._page.run.form()
+        words = model_words(form.piece, form.strategy)
+        self._page.run.show_model(words.short, words.full)
 
     def take(self, fact: Fact) -> None:
         """Take one fact (drawn with the next tick)."""

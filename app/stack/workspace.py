@@ -88,11 +88,18 @@ class StackWorkspace(Workspace):
         page.run.show_devices(not link.simulated)
         page.run.show_form(self._form if link.simulated else careful(self._form))
         page.decision.show_text(NOTHING_YET)
+        self.presenter.show_model()
+        page.run.chosen.connect(self.presenter.show_model)
         self.parts = (
             self.live.draw_left, self.live.draw_right, self.live.draw_wrench,
             self.live.draw_headers, self.presenter.draw, self.side.draw,
             self.comparison.draw,
         )  # fmt: skip
+
+    def enter(self) -> None:
+        """Another model may have been put in use meanwhile."""
+        if self.presenter is not None:
+            self.presenter.show_model()
 
     def take(self, fact: Fact) -> None:
         """Follow the run, whichever page is in front."""

@@ -1,4 +1,4 @@
-"""Devices that outlive every scene: what a run must not ask of them, and what STOP must reach."""
+"""What a run must not ask of the bench as it stands, and what STOP must reach."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from backend.core.faults import RefusedError
 from backend.core.hub import Hub
 from backend.devices.interlock import Interlock
 from backend.rig.connection import Connection
+from backend.runs.hand import Hand
 from backend.runs.requests import Request, StackRequest
 
 
@@ -17,6 +18,16 @@ def refuse_on_devices(connection: Connection, request: Request) -> None:
     if missing := connection.missing():
         names = ", ".join(missing)
         raise RefusedError("NOT-CONNECTED", f"Not connected: {names}. Connect first (Ctrl+L).")
+
+
+def refuse_contact(hand: Hand | None) -> None:
+    """Refuse to move off sideways, or to tare and reference, while the piece presses."""
+    pressing_n = 0.0 if hand is None else hand.pressing_n
+    if pressing_n:
+        raise RefusedError(
+            "IN-CONTACT",
+            f"The piece presses with {pressing_n:.1f} N: lift before you start (jog +Z).",
+        )
 
 
 def stop_with(connection: Connection, interlock: Interlock) -> None:

@@ -111,7 +111,7 @@ class StandInBench:
     simulated = True
     facts = BenchFacts(mode="simulated")
     name, limits_source, connection = "", "the program itself", None
-    hand = None
+    hand = model = None
     dataset = None
     calibrations = None
 

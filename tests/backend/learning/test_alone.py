@@ -117,3 +117,9 @@ def test_the_session_takes_the_model_in_use(tmp_path: Path, card: Card) -> None:
     assert in_use() == mine.weights_sha256
     registry.roll_back("pot")
     assert in_use() == card.weights_sha256
+    # A run that began keeps the model it was checked and is recorded with.
+    models.check(SceneChoice(), piece)
+    registry.promote(model)
+    assert in_use() == card.weights_sha256
+    models.check(SceneChoice(), piece)
+    assert in_use() == mine.weights_sha256

@@ -1,0 +1,85 @@
+"""Which model reads a probe is said where strategy and probe are chosen."""
+
+import pytest
+
+from app.model_words import card_in_use, model_words, scene_words
+from backend.assembly import model_in_use
+from backend.learning.checkpoint import load_checkpoint, save_checkpoint
+from backend.learning.registry import Registry
+from backend.runs.store import models_folder
+from tests.app.conftest import settle
+from widgets.run_panel import RunForm
+
+
+@pytest.fixture(autouse=True)
+def data(tmp_path, monkeypatch):
+    monkeypatch.setenv("TOUCHDOWN_DATA", str(tmp_path / "data"))
+
+
+@pytest.fixture
+def mine(tmp_path):
+    """A model of twenty probes for the pot, not in use yet, and its card."""
+    shipped = load_checkpoint(model_in_use("pot", None))
+    arrays = {**shipped.arrays, "head.bias": shipped.arrays["head.bias"] + 1}
+    told = {"data": {"episodes": {"short": 12, "long": 8}}, "metrics": {"validation": {"iou": 0.4}}}
+    model = tmp_path / "mine.safetensors"
+    return model, save_checkpoint(model, arrays, shipped.card.model_copy(update=told))
+
+
+def test_the_words_follow_what_is_in_use(mine):
+    model, card = mine
+    assert model_words("pot", "paper").short.startswith("shipped, IoU ")
+    assert "12,000 probes" in model_words("pot", "paper").full
+    Registry(models_folder()).promote(model)
+    own = model_words("pot", "outlines")
+    assert own.short == f"yours {card.weights_sha256[:8]}, IoU 40 %, 20 probes"
+    assert "promoted in Train" in own.full
+    assert model_words("barrel", "paper").short.startswith("shipped")
+    Registry(models_folder()).roll_back("pot")
+    assert model_words("pot", "paper").short.startswith("shipped")
+
+
+def test_strategies_that_ask_no_promoted_model_say_so(mine):
+    Registry(models_folder()).promote(mine[0])
+    shorts = [model_words("pot", name).short for name in ("fused", "zero-wrench", "pick-and-place")]
+    assert not any("yours" in short for short in shorts)
+    assert shorts[0] == "its own, shipped"
+
+
+def test_a_damaged_history_is_no_failure():
+    models_folder().mkdir(parents=True)
+    (models_folder() / "in-use.jsonl").write_text('{"piece": "pot"}\n', "utf-8")
+    words = model_words("pot", "paper")
+    assert words.short == "cannot be read"
+    assert "shipped models are used" in words.full
+
+
+def test_a_scene_keeps_its_model_and_says_who_takes_the_other(mine):
+    model, card = mine
+    shipped = card_in_use("pot")
+    Registry(models_folder()).promote(model)
+    words = scene_words(shipped, "pot", simulated=True)
+    assert words.short.endswith(f"; in use: yours {card.weights_sha256[:8]}")
+    assert "Set (Ctrl+N)" in words.full
+    assert "Set" not in scene_words(shipped, "pot", simulated=False).full
+    assert "in use:" not in scene_words(card, "pot", simulated=True).short
+    assert scene_words(None, "pot", simulated=True).short.startswith("none in this scene")
+
+
+def test_stack_and_operate_show_it(live, bench, mine):
+    model, card = mine
+    run, probe = (live.workspaces["stack"].page.run, live.workspaces["operate"].page.probe)
+    assert run._model.text().startswith("shipped")
+    run.show_form(RunForm(strategy="fused"))
+    assert run._model.text() == "its own, shipped"
+    run.show_form(RunForm())
+    Registry(models_folder()).promote(model)
+    live.go("operate")
+    assert (
+        probe.model.text() == f"Model: none in this scene; in use: yours {card.weights_sha256[:8]}"
+    )
+    bench.model = card
+    settle(live)
+    assert probe.model.text() == f"Model: yours {card.weights_sha256[:8]}, IoU 40 %, 20 probes"
+    live.go("stack")
+    assert run._model.text() == f"yours {card.weights_sha256[:8]}, IoU 40 %, 20 probes"

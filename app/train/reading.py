@@ -78,7 +78,8 @@ class Reading:
             divide_series=form.divide_series,
         )
         runs = tuple(training_runs(data))
-        return Looked(seen, runs, self.in_use(seen.piece or _piece_of(runs)), trouble)
+        piece = seen.piece or _piece_of(runs) or self._changed_last()
+        return Looked(seen, runs, self.in_use(piece), trouble)
 
     def in_use(self, piece: str) -> InUse | None:
         """Return the model in use for a piece."""
@@ -88,6 +89,11 @@ class Reading:
         sha256 = SHIPPED if path is None else path.stem
         since_ns = history[-1].at_ns if history else 0
         return InUse(piece, sha256, self._registry.before(piece), since_ns, self._probes(piece))
+
+    def _changed_last(self) -> str:
+        """Return the piece whose model was changed last: it can be rolled back without data."""
+        history = self._registry.history()
+        return history[-1].piece if history else ""
 
     def _probes(self, piece: str) -> int | None:
         """Return on how many hardware probes a model of simulations was evaluated, else None."""

@@ -3,9 +3,10 @@
 from dataclasses import replace
 
 from app.train.reading import Reading
+from backend.assembly import model_in_use
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.values import Label
-from backend.learning.registry import Registry
+from backend.learning.registry import SHIPPED, Registry
 from tests.backend.catalogue.conftest import context_for, small_episode
 from widgets.training_form import TrainingForm
 
@@ -37,3 +38,14 @@ def test_labels_that_would_count_are_named_with_the_way_to_them(tmp_path):
         assert "1 episode would with Labels: Also submitted ones." in told()
         dataset.labels.approve("bob", uuids[0])
         assert told() == ""
+
+
+def test_a_promoted_model_can_be_rolled_back_without_data(tmp_path):
+    registry = Registry(tmp_path / "models")
+    reading, form = Reading(registry), replace(TrainingForm(), data=str(tmp_path / "none"))
+    assert reading.look(form, anew=True).in_use is None
+    registry.promote(model_in_use("pot", None))
+    looked = reading.look(form, anew=True)
+    assert looked.trouble
+    assert looked.in_use is not None
+    assert (looked.in_use.piece, looked.in_use.before) == ("pot", SHIPPED)

@@ -38,7 +38,9 @@ def strategy_sections(tables: Json) -> list[Section]:
     if not answers:
         return []
     found = [
-        _stacking(_stacked(tables, answers), tuple(_source(one) for one in answers if one["cells"])),
+        _stacking(
+            _stacked(tables, answers), tuple(_source(one) for one in answers if one["cells"])
+        ),
         _asked(_said(tables, answers)),
         _gaps(tables["gaps"] if "gaps" in tables else _own_gaps(answers)),
         _kept(answers),

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from app.link import Link
+from backend.devices.degraded import NAMES
 from backend.devices.protocols import RobotMode
 from backend.runs.requests import RunState
 
+LASTING_S = 1.0
+"""A sensor that is degraded for so long keeps the start of a run disabled."""
 ACTIVE = frozenset(
     {RunState.PREPARING, RunState.RUNNING, RunState.PAUSING, RunState.PAUSED, RunState.CANCELLING,
      RunState.FINISHING}
@@ -47,4 +50,8 @@ def why_no_run(link: Link) -> str:
         return "The servo is off: hold Servo in the top bar for 1 s"
     if link.hand is not None and link.hand.pressing_n:
         return "In contact: lift first (jog +Z in Operate)"
+    for degraded in link.degraded:
+        # What is over sooner would only make the buttons flicker: an order is refused in words.
+        if link.clock_s() - degraded.since_s > LASTING_S:
+            return f"The {NAMES[degraded.device]} is {degraded.how}: check it first"
     return ""

@@ -14,6 +14,7 @@ from backend.core.flow import Finger, MarkerField, TactileFrame
 from backend.core.hub import Hub
 from backend.core.hush import Hush
 from backend.core.stream import SampleStream, Stream
+from backend.devices.degraded import Degraded
 from backend.devices.interlock import Interlock, Limits
 from backend.devices.protocols import Device
 from backend.learning.checkpoint import Card
@@ -86,6 +87,10 @@ class Link(Protocol):
     @property
     def model(self) -> Card | None:
         """What reads the probes of the present scene; None where no model does."""
+
+    @property
+    def degraded(self) -> tuple[Degraded, ...]:
+        """Sensors that are late or slow now."""
 
     def clock_s(self) -> float:
         """Return the bench clock."""

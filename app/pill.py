@@ -6,10 +6,12 @@ import math
 
 from app.connect.banner import words_of
 from app.link import Link
+from backend.devices.degraded import Degraded
 from backend.devices.jog_axes import signed_name, turns
 from backend.rig.connection import Connection
 from backend.runs.requests import RunState, RunStatus
 from widgets.state_pill import Colour, PillState, Shape
+from widgets.top_bar import CHIPS
 
 _WORDS: dict[RunState, tuple[str, Shape, Colour]] = {
     RunState.IDLE: ("READY", "disc", "green"),
@@ -20,6 +22,10 @@ _WORDS: dict[RunState, tuple[str, Shape, Colour]] = {
     RunState.CANCELLING: ("CANCELLING", "diamond", "yellow"),
     RunState.FINISHING: ("FINISHING", "diamond", "yellow"),
 }
+
+
+SHOWS_DEGRADED = (RunState.IDLE, RunState.PREPARING, RunState.RUNNING)
+"""A run that pauses or ends says so; by then its card names the sensor."""
 
 
 def pill_of(link: Link) -> PillState:
@@ -41,14 +47,34 @@ def pill_of(link: Link) -> PillState:
     if link.hand is not None and link.interlock.recovering:
         return PillState("RECOVERY", "diamond", "yellow", "jog away from contact")
     status = link.status()
-    if status.state is RunState.IDLE and link.hand is not None and link.hand.pressing_n:
-        note = f"{link.hand.pressing_n:.0f} N: lift, jog +Z"
-        return PillState("IN CONTACT", "diamond", "yellow", note)
     asks = status.asks if status.state is RunState.RUNNING else ""
     if status.awaiting is not None or asks:
         return PillState("YOUR TURN", "triangle", "blue", asks or "approve or decline")
+    return _sensed(link, status) or _of_run(note, status)
+
+
+def _sensed(link: Link, status: RunStatus) -> PillState | None:
+    """Return what the sensors say of the bench, None if there is nothing to say."""
+    degraded = link.degraded
+    if status.state in SHOWS_DEGRADED and degraded:
+        return PillState("DEGRADED", "bang", "yellow", _which(degraded, link.clock_s()))
+    if status.state is RunState.IDLE and link.hand is not None and link.hand.pressing_n:
+        note = f"{link.hand.pressing_n:.0f} N: lift, jog +Z"
+        return PillState("IN CONTACT", "diamond", "yellow", note)
+    return None
+
+
+def _of_run(note: str, status: RunStatus) -> PillState:
     word, shape, colour = _WORDS[status.state]
     return PillState(word, shape, colour, _with(note, status))
+
+
+def _which(degraded: tuple[Degraded, ...], now_s: float) -> str:
+    """Return which sensor is late or slow, and for how long."""
+    first, *others = degraded
+    for_s, more = now_s - first.since_s, f" +{len(others)}" if others else ""
+    lasted = f"{for_s:.1f} s" if for_s < 1.0 else f"{for_s:.0f} s"
+    return f"{dict(CHIPS)[first.device]} {first.how} {lasted}{more}"
 
 
 def _standing(connection: Connection) -> PillState | None:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,12 +22,12 @@ from backend.catalogue.dataset import Dataset
 from backend.config.bench_facts import BenchFacts
 from backend.config.method import StackSettings
 from backend.core.facts import Decision, FaultsReset, Said
-from backend.core.faults import RefusedError, StaleSampleError
+from backend.core.faults import RefusedError
 from backend.core.flow import FINGERS, Finger, MarkerField, TactileFrame
 from backend.core.hub import Hub
 from backend.core.hush import Hush
 from backend.core.stream import SampleStream, Stream
-from backend.core.turning import refuse_turned, turn_of
+from backend.devices.degraded import Degraded, refuse_degraded
 from backend.devices.guarded import GuardedArm, GuardedGripper
 from backend.devices.interlock import Interlock, Limits
 from backend.devices.jog import Around
@@ -128,7 +127,7 @@ class Session:
         commands = SampleStream("arm_command", 3, SAMPLE_CAPACITY)
         self.raw = RawStreams(self.frames, samples, poses, commands)
         self._supervision = Supervision(self.interlock, self.wrench, self.frames)
-        self.engine = Engine(self.hub, self.interlock, self.clock_s)
+        self.engine = Engine(self.hub, self.interlock, self.clock_s, self._supervision.unwell)
         mode = LIVE_MODES.get(facts.mode, "lab")
         self._keep, self._recorder = keep, Recorder(keep, self.hub, self.interlock, mode)
         self._teller = FaultTeller(self.hub, self.interlock)
@@ -165,6 +164,11 @@ class Session:
         estimator = None if self._scene is None else self._scene.stage.estimator
         return estimator.card if isinstance(estimator, Estimator) else None
 
+    @property
+    def degraded(self) -> tuple[Degraded, ...]:
+        """Sensors of the present scene that are late or slow now."""
+        return () if self._scene is None else self._supervision.degraded
+
     def clock_s(self) -> float:
         """Return the bench clock of the present scene."""
         return 0.0 if self._scene is None else self._scene.stage.clock.now_s()
@@ -180,7 +184,9 @@ class Session:
             raise RefusedError("RECOVERY", "After a fault: jog away from contact first.")
         if not isinstance(request, SetRequest):
             refuse_contact(self.hand)
-            self._refuse_turned()
+            refuse_degraded(self.degraded, self.clock_s())
+            if self.hand is not None:
+                self.hand.refuse_turned()
             if self.hand is not None and not self.hand.powered:
                 raise RefusedError("SERVO-OFF", "The servo of the arm is off: switch it on first.")
         self.engine.begin(self._plan(request))
@@ -284,12 +290,6 @@ class Session:
             raise RefusedError("BUSY", "A run is going on: cancel it first.")
         if self.hand is not None and self.hand.active:
             raise RefusedError("BY-HAND", "The bench is being moved by hand: let go first.")
-
-    def _refuse_turned(self) -> None:
-        """Refuse to probe with a turned face: what it feels would mean something else."""
-        if self._scene is not None:
-            with suppress(StaleSampleError):
-                refuse_turned(turn_of(self._scene.arm.pose(max_age_s=1.0)))
 
     def _plan(self, request: Request) -> Plan[None]:
         if self.connection is not None:

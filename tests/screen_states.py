@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 from backend.core.facts import PhaseEntered, RunFinished, RunStarted
+from backend.devices.degraded import Degraded
 from backend.runs.requests import RunState
 from tests.screen_panels import Hand
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def of_the_pill(stage: Stage) -> Iterator[str]:
-    """Servo off, a jog, a probe, a piece that presses, and recovery; on Operate."""
+    """Servo off, a jog, a probe, a piece that presses, recovery, a slow sensor; on Operate."""
     bench = stage.bench
     stage.main.go("operate")
     hand = bench.hand = Hand()
@@ -44,4 +45,8 @@ def of_the_pill(stage: Stage) -> Iterator[str]:
     stage.live(0.8)
     yield "state-recovery"
     bench.interlock.recovering, bench.hand = False, None
+    stage.live(0.0)
+    bench.degraded = (Degraded("force_torque", "slow", bench.clock_s() - 12.0),)
+    yield "state-degraded"
+    bench.degraded = ()
     stage.live(0.0)

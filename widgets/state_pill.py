@@ -21,7 +21,7 @@ from PySide6.QtWidgets import QSizePolicy, QWidget
 from widgets.theme import Theme, ui_font
 
 Colour = Literal["grey", "blue", "green", "yellow", "red"]
-Shape = Literal["ring", "disc", "play", "bars", "square", "triangle", "diamond"]
+Shape = Literal["ring", "disc", "play", "bars", "square", "triangle", "diamond", "bang"]
 DARK_TEXT: frozenset[Colour] = frozenset({"green", "yellow"})
 
 
@@ -54,6 +54,7 @@ class StatePill(QWidget):
             return
         told, self.state = self.state.word, state
         self.setAccessibleName(f"State: {state.word}")
+        self.setAccessibleDescription(state.note)
         if state.word != told and QAccessible.isActive():
             QAccessible.updateAccessibility(QAccessibleAnnouncementEvent(self, state.word))
         self.updateGeometry()
@@ -102,6 +103,9 @@ def draw_shape(painter: QPainter, shape: Shape, at: QPointF, ink: QColor, size: 
     elif shape == "bars":
         painter.drawRect(QRectF(x - s + 1, y - s + 1, 2, 2 * s - 2))
         painter.drawRect(QRectF(x + s - 4, y - s + 1, 2, 2 * s - 2))
+    elif shape == "bang":
+        painter.drawRect(QRectF(x - 1, y - s + 1, 2, 1.2 * s))
+        painter.drawEllipse(QPointF(x, y + s - 1.5), 1.0, 1.0)
     elif shape == "square":
         painter.drawRect(QRectF(x - s + 1.5, y - s + 1.5, 2 * s - 3, 2 * s - 3))
     else:

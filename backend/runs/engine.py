@@ -3,7 +3,8 @@
     idle -> preparing -> running <-> pausing -> paused -> running
                          running | pausing | paused -> cancelling -> finishing -> idle
 
-STOP is out of band: it latches the interlock first and ends the run from any state.
+STOP is out of band: it latches the interlock first and ends the run from any state. At every
+checkpoint a run stands while a sensor is degraded, and pauses by itself where that lasts.
 """
 
 from __future__ import annotations
@@ -58,14 +59,25 @@ _ASKS: dict[type[Fact], str] = {
     MountingAwaited: "say whether it was fitted anew",
     OutcomeAwaited: "say the outcome",
 }
+STAND_S = 1.0
+"""A run stands this long at a checkpoint for a degraded sensor; then it pauses."""
 _ACTIVE = {RunState.RUNNING, RunState.PAUSING, RunState.PAUSED, RunState.PREPARING}
 
 
 class Engine:
     """Runs plans. ``tick`` is called by whoever owns the bench's time (a thread or a loop)."""
 
-    def __init__(self, hub: Hub, interlock: Interlock, now_s: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        hub: Hub,
+        interlock: Interlock,
+        now_s: Callable[[], float],
+        unwell: Callable[[], Fault | None] = lambda: None,
+    ) -> None:
         self._hub, self._interlock, self._now_s = hub, interlock, now_s
+        self._unwell = unwell
+        self._stand_until_s: float | None = None
+        """Set while the plan is at a checkpoint and a sensor was degraded there."""
         self._lock = threading.RLock()
         self._status = RunStatus(RunState.IDLE)
         self._plan: Plan[object] | None = None
@@ -99,7 +111,7 @@ class Engine:
             if self._interlock.latched:
                 raise RefusedError("LATCHED", "The bench is stopped: press Reset first.")
             self._plan, self._waiting, self._throw = plan, None, None
-            self._result, self._error = None, None
+            self._result, self._error, self._stand_until_s = None, None, None
             self._status = RunStatus(RunState.PREPARING, text="Preparing")
             self._idle.clear()
 
@@ -180,6 +192,8 @@ class Engine:
             if self._status.state is RunState.PAUSED:
                 return False
             waiting = self._waiting
+        if self._stand_until_s is not None and not self._sensors_well(self._stand_until_s):
+            return False
         if waiting is None:
             return True
         if waiting.until():
@@ -194,6 +208,7 @@ class Engine:
         """Send or throw once; return False if the plan ended or paused."""
         with self._lock:
             throw, self._throw = self._throw, None
+            self._stand_until_s = None
         try:
             if throw is None:
                 step = plan.send(None)
@@ -220,12 +235,31 @@ class Engine:
         with self._lock:
             asked = self._status.state is RunState.PAUSING
             if not asked and (obstacle is None or self._status.state is not RunState.RUNNING):
+                # ``tick`` asks for the sensors before the plan goes on.
+                self._stand_until_s = self._now_s() + STAND_S
                 return True
+        self._pause(obstacle)
+        return False
+
+    def _pause(self, obstacle: Fault | None) -> None:
+        with self._lock:
             self._obstacle = obstacle
             text = "Paused" if obstacle is None else obstacle.what
             self._status = replace(self._status, state=RunState.PAUSED, text=text)
         if obstacle is not None:
             self._publish(Paused(self._now_s(), obstacle))
+
+    def _sensors_well(self, until_s: float) -> bool:
+        """Whether the plan may leave its checkpoint; pauses the run where it waited in vain."""
+        unwell = self._unwell()
+        if unwell is None:
+            return True
+        with self._lock:
+            asked = self._status.state is RunState.PAUSING
+        if asked:
+            self._pause(None)
+        elif self._now_s() > until_s and self._status.state is RunState.RUNNING:
+            self._pause(unwell)
         return False
 
     def _publish(self, fact: Fact) -> None:

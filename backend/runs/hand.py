@@ -9,10 +9,12 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 from backend.core.facts import Fact, Refused, Said
-from backend.core.faults import FaultError, RefusedError
+from backend.core.faults import FaultError, RefusedError, StaleSampleError
+from backend.core.turning import refuse_turned, turn_of
 from backend.devices.guarded import GuardedArm, GuardedGripper
 from backend.devices.interlock import Interlock
 from backend.devices.jog import Around, Jog
@@ -83,6 +85,11 @@ class Hand:
     def rotates(self) -> bool:
         """Whether the hand can turn and single joints can be driven."""
         return self._reach.arm.rotates
+
+    def refuse_turned(self) -> None:
+        """Refuse to probe with a turned face: what it feels would mean something else."""
+        with suppress(StaleSampleError):
+            refuse_turned(turn_of(self._reach.arm.pose(max_age_s=1.0)))
 
     # -- from any thread --------------------------------------------------------------------------
 

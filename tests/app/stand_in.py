@@ -114,6 +114,7 @@ class StandInBench:
     hand = model = None
     dataset = None
     calibrations = None
+    degraded = ()
 
     def __init__(self):
         self.hub, self.interlock, self.catalogue = Hub(), Interlock(), load_catalogue()

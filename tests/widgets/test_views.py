@@ -330,7 +330,7 @@ def test_every_pill_shape_differs_in_grey(qtbot, theme):
     pill = StatePill(theme)
     qtbot.addWidget(pill)
     seen = []
-    for shape in ("ring", "disc", "play", "bars", "square", "triangle", "diamond"):
+    for shape in ("ring", "disc", "play", "bars", "square", "triangle", "diamond", "bang"):
         pill.show_state(PillState("X", shape, "grey"))
         pill.resize(pill.sizeHint())
         seen.append(pixels(pill).mean(axis=2)[:, 8:33])

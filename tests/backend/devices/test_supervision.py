@@ -7,6 +7,7 @@ import pytest
 
 from backend.core.flow import FINGERS, TactileFrame
 from backend.core.stream import SampleStream, Stream
+from backend.devices.degraded import Degraded, Rate
 from backend.devices.interlock import Interlock
 from backend.devices.supervision import GRACE_S, Supervision
 
@@ -122,3 +123,54 @@ def test_the_trip_needs_two_samples_or_one_huge_one() -> None:
     huge.wrench.put(huge.now_s + 0.001 * np.arange(1, 21), single)
     huge.supervision.check(huge.now_s + 0.02)
     assert huge.codes() == [("FT-TRIP", "force_torque")]
+
+
+def test_a_sensor_is_degraded_before_it_is_a_fault_and_well_again_by_itself() -> None:
+    bench = Watched()
+    bench.run(2.0)
+    bench.run(0.08, None)
+    assert bench.supervision.degraded == ()
+    bench.run(0.04, None)
+    assert bench.supervision.degraded == (Degraded("force_torque", "silent", pytest.approx(2.0)),)
+    assert bench.supervision.unwell().what == "The wrist sensor has been silent for 0.1 s."
+    bench.run(0.02)
+    assert bench.supervision.degraded == ()
+    last_s = bench.frames["left"].newest().t_s
+    bench.run(0.08, silent="left")
+    assert bench.supervision.degraded == ()
+    bench.run(0.06, silent="left")
+    assert bench.supervision.degraded == (
+        Degraded("tactile_left", "silent", pytest.approx(last_s)),
+    )
+    bench.run(0.04)
+    assert bench.supervision.degraded == ()
+    assert not bench.interlock.latched
+
+
+def test_a_scene_that_begins_forgets_what_was_degraded() -> None:
+    bench = Watched()
+    bench.run(2.0)
+    bench.run(0.2, None)
+    assert bench.supervision.degraded
+    bench.supervision.begin(bench.now_s)
+    assert bench.supervision.unwell() is None
+
+
+@pytest.mark.parametrize(("share", "slow"), [(0.4, True), (0.6, False)])
+def test_less_than_half_of_the_usual_rate_is_degraded_until_it_is_back(
+    share: float, slow: bool
+) -> None:
+    rate, now_s = Rate(), 0.0
+
+    def deliver(seconds: float, hz: float) -> None:
+        nonlocal now_s
+        for _ in range(round(10 * seconds)):
+            now_s += 0.1
+            rate.note(now_s, round(0.1 * hz))
+
+    deliver(3.0, 1000.0)
+    deliver(3.0, 1000.0 * share)
+    assert (rate.slow_since_s is not None) == slow
+    assert not slow or 2.0 <= rate.slow_since_s <= 4.0
+    deliver(2.2, 1000.0)
+    assert rate.slow_since_s is None

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import pytest
 
 from backend.core.clock import HandClock
-from backend.core.facts import Fact, FaultRaised, RunFinished, RunStarted, Said
-from backend.core.faults import InputError, RefusedError
+from backend.core.facts import Fact, FaultRaised, Paused, RunFinished, RunStarted, Said
+from backend.core.faults import Fault, InputError, RefusedError
 from backend.core.hub import Hub
 from backend.devices.interlock import Interlock
 from backend.runs.engine import Engine
@@ -192,3 +192,72 @@ def test_only_one_run_at_a_time(rig: Rig) -> None:
     rig.engine.begin(two_steps(rig))
     with pytest.raises(RefusedError, match="BUSY"):
         rig.engine.begin(two_steps(rig))
+
+
+SLOW = Fault("DEGRADED", "The wrist sensor is slow.", "Paused.", "Look.", "force_torque")
+
+
+class Unwell(Rig):
+    """An engine that is told of a degraded sensor."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.fault: Fault | None = SLOW
+        self.engine = Engine(self.hub, self.interlock, self.clock.now_s, lambda: self.fault)
+
+    def paused(self) -> list[Fault]:
+        return [fact.fault for fact in self.facts if isinstance(fact, Paused)]
+
+
+def test_a_run_stands_for_a_sensor_that_is_soon_well_again() -> None:
+    rig = Unwell()
+    rig.engine.begin(two_steps(rig))
+    rig.tick(40)
+    assert rig.engine.status().state is RunState.RUNNING
+    assert rig.texts() == []
+    rig.fault = None
+    rig.tick(20)
+    assert rig.texts() == ["one", "two"]
+    assert rig.paused() == []
+
+
+def test_a_sensor_that_stays_degraded_pauses_the_run_until_it_is_resumed() -> None:
+    rig = Unwell()
+    rig.engine.begin(two_steps(rig))
+    rig.tick(60)
+    assert rig.engine.status().state is RunState.PAUSED
+    assert (rig.texts(), rig.paused()) == ([], [SLOW])
+    rig.engine.resume()
+    rig.tick(2)
+    assert rig.engine.status().state is RunState.PAUSED, "resumed too early it pauses again"
+    rig.fault = None
+    rig.tick(20)
+    assert rig.texts() == [], "no motion begins by itself"
+    rig.engine.resume()
+    rig.tick(20)
+    assert rig.texts() == ["one", "two"]
+
+
+@pytest.mark.parametrize("ticks", [10, 60])
+def test_a_run_that_stands_for_a_sensor_can_be_paused_cancelled_and_stopped(ticks: int) -> None:
+    rig = Unwell()
+    rig.engine.begin(two_steps(rig))
+    rig.tick(ticks)
+    rig.engine.pause()
+    rig.tick(1)
+    assert rig.engine.status().state is RunState.PAUSED
+    rig.engine.cancel()
+    rig.tick(20)
+    assert rig.texts() == ["lifted", "clean"]
+    other = Unwell()
+    other.engine.begin(two_steps(other))
+    other.tick(ticks)
+    other.interlock.stop()
+    other.tick(2)
+    assert other.engine.status().state is RunState.IDLE
+
+
+def test_a_script_whose_sensor_stays_degraded_is_cancelled() -> None:
+    rig = Unwell()
+    assert rig.engine.run(two_steps(rig), rig.advance) == "cancelled"
+    assert rig.clock.now_s() < 3.0

@@ -1,0 +1,89 @@
+"""A sensor that is late or slow: the pill names it, and nothing new begins on it."""
+
+from dataclasses import replace
+
+import pytest
+
+from app.activity import LASTING_S, why_no_run
+from app.pill import pill_of
+from backend.assembly import simulated_session
+from backend.core.faults import RefusedError
+from backend.devices.degraded import Degraded
+from backend.runs.requests import ProbeRequest, RunState, SceneChoice
+from tests.app.conftest import settle
+from tests.backend.brisk import brisk_bench, brisk_method
+
+
+def test_the_pill_names_the_sensor_and_since_when(live, bench):
+    bench.turn(5.0)
+    bench.degraded = (Degraded("tactile_left", "silent", bench.clock_s() - 0.2),)
+    settle(live)
+    pill = live.bar.pill
+    assert (pill.state.word, pill.state.shape, pill.state.colour) == ("DEGRADED", "bang", "yellow")
+    assert pill.state.note == "Tactile L silent 0.2 s"
+    assert pill.accessibleName() == "State: DEGRADED"
+    assert pill.accessibleDescription() == pill.state.note
+    bench.degraded = ()
+    settle(live)
+    assert pill.state.word == "READY"
+
+
+def test_a_run_shows_it_while_it_stands_and_its_pause_afterwards(bench):
+    bench.turn(5.0)
+    slow = Degraded("force_torque", "slow", bench.clock_s() - 3.0)
+    bench.degraded = (slow, replace(slow, device="tactile_right", how="silent"))
+    for state, word in ((RunState.RUNNING, "DEGRADED"), (RunState.PAUSED, "PAUSED")):
+        bench.set_state(state)
+        assert pill_of(bench).word == word
+    bench.set_state(RunState.RUNNING)
+    assert pill_of(bench).note == "F/T slow 3 s +1"
+    bench.set_state(RunState.RUNNING, asks="say the outcome")
+    assert pill_of(bench).word == "YOUR TURN"
+    bench.interlock.stop()
+    assert pill_of(bench).word == "STOPPED"
+
+
+def test_what_lasts_keeps_the_start_disabled_and_says_why(live, bench):
+    bench.turn(5.0)
+    start = live.workspaces["stack"].page.run.start
+    live.go("stack")
+    bench.degraded = (Degraded("force_torque", "slow", bench.clock_s() - 0.5 * LASTING_S),)
+    assert why_no_run(bench) == ""
+    bench.turn(LASTING_S)
+    settle(live)
+    assert why_no_run(bench) == "The wrist sensor is slow: check it first"
+    assert not start.isEnabled()
+    bench.degraded = ()
+    settle(live)
+    assert start.isEnabled()
+
+
+def test_a_silent_sensor_refuses_a_probe_is_degraded_then_a_fault():
+    choice = brisk_bench("quiet", faults=("force_torque:stop@1.5",))
+    session = simulated_session(choice, method=brisk_method())
+    session.prepare(SceneChoice("pot", ("short",)))
+    words = []
+    while session.clock_s() < 2.2:
+        session.advance()
+        word = pill_of(session).word
+        if word == "DEGRADED" and "DEGRADED" not in words:
+            with pytest.raises(RefusedError, match="The wrist sensor has been silent") as refused:
+                session.start(ProbeRequest())
+            assert refused.value.reason == "DEGRADED"
+        if word not in words[-1:]:
+            words.append(word)
+    assert words == ["READY", "DEGRADED", "FAULT"]
+    session.close()
+
+
+def test_a_sensor_that_comes_back_leaves_a_bench_that_is_ready():
+    choice = brisk_bench("quiet", faults=("tactile_left:stop@1.5+0.3",))
+    session = simulated_session(choice, method=brisk_method())
+    session.prepare(SceneChoice("pot", ("short",)))
+    words = []
+    while session.clock_s() < 2.2:
+        session.advance()
+        if (word := pill_of(session).word) not in words[-1:]:
+            words.append(word)
+    assert words == ["READY", "DEGRADED", "READY"]
+    session.close()

@@ -29,8 +29,8 @@ FINISH_S = 30.0
 """Longer than any ticket waits: each ends by itself, at the latest with its wire."""
 IDLE_S = 0.005
 """Longest sleep of the command channel between two looks at what waits."""
-RECEIVE_BUFFER = 4 * PACKET_BYTES
-"""Small: old replies must not queue."""
+RECEIVE_BUFFER = 16 * PACKET_BYTES
+"""Holds what comes in a cycle, repeated and late ones too."""
 MOST_DATAGRAMS = 64
 """Read per cycle: a flood must not hold up the stream."""
 STOP_LINE = encode_request(Request("STOP")) + b"\r"
@@ -178,7 +178,9 @@ class SocketWires:
         deadline_s = time.monotonic() + CYCLE_S
         self.times = times = CycleTimes(realtime=realtime)
         while not self._stop.is_set():
-            came = _drain_until(wire, deadline_s)
+            # One wake-up a cycle: a reply that comes in between is of no use before the next.
+            self._stop.wait(deadline_s - time.monotonic())
+            came = _waiting(wire)
             over_s = time.monotonic() - deadline_s
             if self._anew.is_set():
                 times = CycleTimes(realtime=realtime)
@@ -200,20 +202,15 @@ def _connected(host: str, port: int) -> socket.socket:
     return wire
 
 
-def _drain_until(wire: socket.socket, deadline_s: float) -> list[bytes]:
-    """Return the datagrams that come until the deadline, and all that wait then."""
+def _waiting(wire: socket.socket) -> list[bytes]:
+    """Return the datagrams that have come, oldest first."""
     came: list[bytes] = []
-    while len(came) < MOST_DATAGRAMS:
-        left_s = deadline_s - time.monotonic()
-        readable, _, _ = select.select([wire], [], [], max(left_s, 0.0))
-        if not readable:
-            if left_s <= 0.0:
-                return came
-            continue
+    for _ in range(MOST_DATAGRAMS):
         try:
             came.append(wire.recv(512))
+        except BlockingIOError:
+            break
         except OSError:
             # An ICMP refusal while the controller's program does not listen yet.
-            if left_s <= 0.0:
-                return came
+            continue
     return came

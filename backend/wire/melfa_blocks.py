@@ -149,7 +149,8 @@ def _unpack(kind: Kind, data: bytes) -> Block:
 
 
 def _finite(numbers: tuple[float, ...]) -> tuple[float, ...]:
-    if not all(map(math.isfinite, numbers)):
+    # The sum is none if a number is none, and found several times as fast.
+    if not math.isfinite(sum(numbers)) and not all(map(math.isfinite, numbers)):
         raise WireError("number", "melfa block")
     return numbers
 

@@ -61,27 +61,40 @@ def joints_for(position_mm: FloatArray, hand: FloatArray, near_rad: FloatArray) 
 
     Raises ``RefusedError`` REACH where there is none, SINGULAR where it is not unique.
     """
-    wrist = position_mm - FLANGE_MM * hand[:, 2]
-    across, up = math.hypot(wrist[0], wrist[1]), float(wrist[2]) - SHOULDER_MM
+    # Once per cycle: written out, as small arrays would take ten times as long.
+    (xx, yx, zx), (xy, yy, zy), (xz, yz, zz) = hand.tolist()
+    x, y, z = position_mm.tolist()
+    x, y, up = x - FLANGE_MM * zx, y - FLANGE_MM * zy, z - FLANGE_MM * zz - SHOULDER_MM
+    across = math.hypot(x, y)
     bend = (across**2 + up**2 - UPPER_MM**2 - FORE_MM**2) / (2.0 * UPPER_MM * FORE_MM)
     if not abs(bend) < 1.0:
         raise RefusedError("REACH", "The arm is too short for this place.")
     if not across > 1.0:
         raise RefusedError("SINGULAR", "The wrist is over the axis of J1.")
-    q1, q3 = math.atan2(wrist[1], wrist[0]), math.acos(bend)
+    q1, q3 = math.atan2(y, x), math.acos(bend)
     q2 = math.atan2(across, up) - math.atan2(
         FORE_MM * math.sin(q3), UPPER_MM + FORE_MM * math.cos(q3)
     )
-    rest = (turn_z(q1) @ turn_y(q2 + q3)).T @ hand
-    q5 = math.acos(min(max(float(rest[2, 2]), -1.0), 1.0))
+    c, s = math.cos(q1), math.sin(q1)
+    sine, cosine = math.sin(q2 + q3), math.cos(q2 + q3)
+    # The hand in axes of the forearm: its z wholly, of x and y the part along the forearm.
+    out = c * zx + s * zy
+    ahead, aside = cosine * out - sine * zz, c * zy - s * zx
+    along = sine * out + cosine * zz
+    q5 = math.acos(min(max(along, -1.0), 1.0))
     if not abs(math.sin(q5)) > 1e-6:
         raise RefusedError("SINGULAR", "J4 and J6 are in line.")
-    q4 = math.atan2(rest[1, 2], rest[0, 2])
-    q6 = math.atan2(rest[2, 1], -rest[2, 0])
-    found = np.array([q1, q2, q3, q4, q5, q6])
-    turns = np.zeros(6)
-    turns[[0, 3, 5]] = np.round((near_rad - found)[[0, 3, 5]] / (2.0 * math.pi))
-    return np.asarray(found + 2.0 * math.pi * turns)
+    q4 = math.atan2(aside, ahead)
+    along_x = sine * (c * xx + s * xy) + cosine * xz
+    along_y = sine * (c * yx + s * yy) + cosine * yz
+    q6 = math.atan2(along_y, -along_x)
+    n1, _, _, n4, _, n6 = near_rad.tolist()
+    return np.array([_nearest(q1, n1), q2, q3, _nearest(q4, n4), q5, _nearest(q6, n6)])
+
+
+def _nearest(angle_rad: float, near_rad: float) -> float:
+    """Return the angle by whole turns nearest to another."""
+    return angle_rad + 2.0 * math.pi * round((near_rad - angle_rad) / (2.0 * math.pi))
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +114,8 @@ class Placing:
     @property
     def hand(self) -> FloatArray:
         """Rotation (3, 3) of the flange in the base: z down."""
-        return np.asarray(turn_z(self.yaw_rad + self.hand_rad) @ np.diag([1.0, -1.0, -1.0]))
+        c, s = math.cos(self.yaw_rad + self.hand_rad), math.sin(self.yaw_rad + self.hand_rad)
+        return np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
 
     def joints(
         self, pivot_mm: FloatArray, near_rad: FloatArray, turn: FloatArray = UNTURNED
@@ -111,8 +125,8 @@ class Placing:
         ``turn`` (3, 3): by how much the hand is turned from there, in the bench frame.
         """
         bench = turn_z(self.yaw_rad)
-        at = np.array(self.origin_mm) + bench @ pivot_mm
         hand = self.hand if turn is UNTURNED else bench @ turn @ bench.T @ self.hand
+        at = self.origin_mm + bench @ pivot_mm
         return joints_for(at - self.tool_mm * hand[:, 2], hand, near_rad)
 
     def turn(self, joints_rad: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 from backend.core.flow import FloatArray
 from backend.wire.framing import WireError
 from backend.wire.melfa_blocks import Values
-from backend.wire.melfa_mxt import Reply, decode_reply
+from backend.wire.melfa_mxt import decode_reply
 
 COMMAND_JOINTS, FEEDBACK_JOINTS = 2, 8
 MONITORS = (COMMAND_JOINTS, FEEDBACK_JOINTS, 5, 11)
@@ -56,11 +56,11 @@ class Replies:
         """Return the newest acceptable echo among ``datagrams`` and all before, None if none."""
         newest: Echo | None = None
         for data in datagrams:
-            reply = _acceptable(data)
-            if reply is None:
+            told = _acceptable(data)
+            if told is None:
                 self.counts.refused += 1
-            elif self._is_newer(reply.counter):
-                newest = _echo(reply)
+            elif self._is_newer(told[0]):
+                newest = told[1]
                 self.counts.accepted += 1
         return newest
 
@@ -78,20 +78,18 @@ class Replies:
         return True
 
 
-def _acceptable(data: bytes) -> Reply | None:
+def _acceptable(data: bytes) -> tuple[int, Echo] | None:
+    """Return counter and echo of one datagram, None if it cannot be meant."""
     try:
         reply = decode_reply(data)
     except WireError:
         return None
     if reply.monitors != MONITORS:
         return None
-    echo = _echo(reply)
-    joints = np.concatenate([echo.command_rad, echo.feedback_rad])
-    return reply if (np.abs(joints) <= TURN_RAD).all() else None
-
-
-def _echo(reply: Reply) -> Echo:
     command, feedback = reply.blocks[0], reply.blocks[1]
     assert isinstance(command, Values)
     assert isinstance(feedback, Values)
-    return Echo(np.array(command.axes[:6]), np.array(feedback.axes[:6]), reply.timeouts)
+    wanted, found = command.axes[:6], feedback.axes[:6]
+    if not all(-TURN_RAD <= angle <= TURN_RAD for angle in (*wanted, *found)):
+        return None
+    return reply.counter, Echo(np.array(wanted), np.array(found), reply.timeouts)

@@ -292,7 +292,7 @@ class StreamCore:
     def _within_lead(self, wanted_mm: FloatArray, speed_mm_s: float) -> FloatArray:
         lead_mm = LEAD_CYCLES * CYCLE_S * max(speed_mm_s, LEAST_LEAD_MM_S)
         ahead = wanted_mm - self._echo_mm
-        far_mm = float(np.linalg.norm(ahead))
+        far_mm = math.hypot(*ahead.tolist())
         if far_mm <= lead_mm:
             return wanted_mm
         # Standing is always allowed: a limit that pulled back would be a motion of its own.

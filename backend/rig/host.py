@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from backend.core.faults import Fault, FaultError, TouchdownError
-from backend.core.stream import SampleStream
+from backend.core.stream import Samples, SampleStream
 from backend.devices.held import Right
 from backend.devices.homing import Homing
 from backend.devices.interlock import Limits
@@ -30,7 +30,7 @@ from backend.devices.protocols import (
 from backend.devices.retreating import Retreating
 from backend.devices.traced import Traced
 from backend.rig.core import Inbox, Outbox, RigCore
-from backend.rig.memory import RIG_BEAT, SharedMemory
+from backend.rig.memory import RIG_BEAT, Ring, SharedMemory
 from backend.rig.messages import Message, error_row, failed, fault_row
 from backend.rig.orders import JAWS, MOVES, Orders
 from backend.rig.release import STILL_S, Measured, refuse_opening
@@ -176,17 +176,24 @@ class RigHost:
 
     def _hand_on(self, now_s: float) -> None:
         """Copy what the sensors delivered into the shared rings, and one line of the recorder."""
-        wrench = self.devices.samples.since(self._cursors[0])
-        poses = self.devices.poses.since(self._cursors[1])
-        self._cursors = [wrench.cursor, poses.cursor]
-        for ring, came in ((self._memory.wrench, wrench), (self._memory.poses, poses)):
-            if len(came.t_s):
-                ring.put(came.t_s, came.values)
-        finite = np.isfinite(wrench.values).all(axis=1)
-        if finite.any():
-            self._wrench_s = float(wrench.t_s[finite][-1])
+        wrench = self._copied(0, self.devices.samples, self._memory.wrench)
+        self._copied(1, self.devices.poses, self._memory.poses)
+        if wrench is not None:
+            finite = np.isfinite(wrench.values).all(axis=1)
+            if finite.any():
+                self._wrench_s = float(wrench.t_s[finite][-1])
         if self._traced is not None and self.devices.arm.state is not DeviceState.CLOSED:
             self._memory.rounds.put(np.array([now_s]), np.array([self._traced.trace()]))
+
+    def _copied(self, which: int, stream: SampleStream, ring: Ring) -> Samples | None:
+        """Copy what is new in a stream into its ring and return it; None if nothing is."""
+        if stream.count == self._cursors[which]:
+            return None
+        came = stream.since(self._cursors[which])
+        self._cursors[which] = came.cursor
+        if len(came.t_s):
+            ring.put(came.t_s, came.values)
+        return came
 
     def _show(self, now_s: float, *, slow: bool) -> None:
         with self._showing:

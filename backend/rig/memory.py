@@ -50,26 +50,43 @@ class Ring:
     def put(self, t_s: FloatArray, values: FloatArray) -> None:
         """Append stamps (n,) and values (n, channels); of more than fits, the newest."""
         t_s, values = t_s[-self.capacity :], values[-self.capacity :]
-        first = self.count
-        numbers = np.arange(first, first + len(t_s))
-        rows = numbers % self.capacity
-        # Both numbers first: whoever is reading this record sees that it has changed.
-        self._numbers[rows, -1] = self._numbers[rows, 0] = -1
-        self._cells[rows, 1], self._cells[rows, 2:-1] = t_s, values
-        self._numbers[rows, -1] = numbers
-        self._numbers[rows, 0] = numbers
+        first, done = self.count, 0
+        for rows in self._rows(first, first + len(t_s)):
+            part = slice(done, done + rows.stop - rows.start)
+            numbers = np.arange(first + part.start, first + part.stop)
+            # Both numbers first: whoever is reading this record sees that it has changed.
+            self._numbers[rows, -1] = self._numbers[rows, 0] = -1
+            self._cells[rows, 1], self._cells[rows, 2:-1] = t_s[part], values[part]
+            self._numbers[rows, -1] = numbers
+            self._numbers[rows, 0] = numbers
+            done = part.stop
         self._words[self._word] = first + len(t_s)
 
     def since(self, cursor: int) -> tuple[FloatArray, FloatArray, int]:
         """Return stamps (n,), values (n, channels) after ``cursor`` that are whole, new cursor."""
         count = self.count
-        numbers = np.arange(max(cursor, count - self.capacity), count)
-        rows = numbers % self.capacity
-        before = self._numbers[rows, 0].copy()
-        cells = self._cells[rows].copy()
-        behind = self._numbers[rows, -1].copy()
-        whole = (before == numbers) & (behind == numbers)
-        return cells[whole, 1], cells[whole, 2:-1], count
+        first = min(max(cursor, count - self.capacity), count)
+        before, cells, behind = [], [], []
+        for rows in self._rows(first, count):
+            before.append(self._numbers[rows, 0].copy())
+            cells.append(self._cells[rows].copy())
+            behind.append(self._numbers[rows, -1].copy())
+        if not cells:
+            return np.empty(0), np.empty((0, self._cells.shape[1] - 3)), count
+        numbers, kept = np.arange(first, count), np.concatenate(cells)
+        whole = (np.concatenate(before) == numbers) & (np.concatenate(behind) == numbers)
+        return kept[whole, 1], kept[whole, 2:-1], count
+
+    def _rows(self, first: int, end: int) -> list[slice]:
+        """Return where the records from ``first`` up to ``end`` lie, at most one turn of them.
+
+        Slices: an index array takes several times as long.
+        """
+        begin = first % self.capacity
+        fits = min(end - first, self.capacity - begin)
+        rest = end - first - fits
+        parts = (slice(begin, begin + fits), slice(0, rest))
+        return [rows for rows in parts if rows.stop > rows.start]
 
 
 class SharedMemory:

@@ -7,6 +7,7 @@ Amelia10007/dynpick-force-torque-sensor-rs.
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -18,6 +19,8 @@ ZERO_COUNT, TOP_COUNT = 0x2000, 0x3FFF
 """Counts of no load and of the upper end; the lower end is 0."""
 RECORD_BYTES = 27
 END = b"\r\n"
+_DIGITS = re.compile(rb"[0-9][0-9A-F]{24}")
+_COUNTS = struct.Struct(">6H")
 
 
 class Command(Enum):
@@ -54,22 +57,22 @@ def encode_record(record: Record) -> bytes:
     """Return the 27 bytes."""
     if not 0 <= record.tick <= 9 or len(record.counts) != 6:
         raise WireError("range", "dynpick record")
-    if not all(0 <= count <= TOP_COUNT for count in record.counts):
+    if not (min(record.counts) >= 0 and max(record.counts) <= TOP_COUNT):
         raise WireError("range", "dynpick record", 1)
-    return b"%d%b\r\n" % (record.tick, b"".join(b"%04X" % count for count in record.counts))
+    return b"%d%04X%04X%04X%04X%04X%04X\r\n" % (record.tick, *record.counts)
 
 
 def decode_record(data: bytes) -> Record:
     """Return the record of exactly 27 bytes; raises ``WireError``."""
     if len(data) != RECORD_BYTES or data[-2:] != END:
         raise WireError("length", "dynpick record", min(len(data), RECORD_BYTES))
-    bad = re.search(rb"[^0-9A-F]", data[:-2])
-    if bad or not data[:1].isdigit():
+    if _DIGITS.match(data) is None:
+        bad = re.search(rb"[^0-9A-F]", data[:-2])
         raise WireError("digit", "dynpick record", bad.start() if bad else 0)
-    counts = tuple(int(data[at : at + 4], 16) for at in range(1, 25, 4))
+    counts = _COUNTS.unpack(bytes.fromhex(data[1:25].decode("ascii")))
     if max(counts) > TOP_COUNT:
         raise WireError("range", "dynpick record", 1)
-    return Record(int(data[:1]), counts)
+    return Record(data[0] - ord("0"), counts)
 
 
 def _take(data: bytes, at: int) -> Step[Record] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from operator import sub
 
 from backend.config.hardware import HardwareSettings
 from backend.devices.force_torque.language import Greeting, Reading, Refusals, listen, pause
@@ -80,11 +81,10 @@ class DynpickLanguage:
         return True
 
     def _near(self, first: Record, second: Record) -> bool:
-        pairs = zip(first.counts, second.counts, strict=True)
-        return max(abs(a - b) for a, b in pairs) <= self._settings.max_step
+        return max(map(abs, map(sub, first.counts, second.counts))) <= self._settings.max_step
 
     def _reading(self, record: Record) -> Reading:
         missed, self._missed = self._missed, 0
         low, high = self._settings.saturation
-        overload = any(count <= low or count >= high for count in record.counts)
+        overload = min(record.counts) <= low or max(record.counts) >= high
         return Reading(record.wrench(self._sensitivity), missed, overload)

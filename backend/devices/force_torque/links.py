@@ -6,7 +6,10 @@ Addresses: the path of a serial port, ``socket://host:port``, or ``udp://host:po
 from __future__ import annotations
 
 import contextlib
+import os
+import select
 import socket
+import time
 from typing import Protocol
 from urllib.parse import urlsplit
 
@@ -38,15 +41,28 @@ class SerialLink:
     def __init__(self, path: str, baud: int, chunk: int) -> None:
         self._port = serial.Serial(path, baud, timeout=0.0, write_timeout=WRITE_S, exclusive=True)
         self._chunk = chunk
+        # Read past pyserial where the system allows: at 1 kHz that costs half as much.
+        self._file: int | None = self._port.fileno() if os.name == "posix" else None
         # The adapter shall hand over what it has at once; the system may refuse, or not know how.
         with contextlib.suppress(OSError, ValueError, NotImplementedError, AttributeError):
             self._port.set_low_latency_mode(True)
 
     def read(self, limit_s: float) -> bytes:
-        """Return up to a few frames, as soon as they are there."""
-        if self._port.timeout != limit_s:
-            self._port.timeout = limit_s
-        return bytes(self._port.read(self._chunk))
+        """Return all that waits, once it is a few frames or the time is over."""
+        if self._file is None:
+            if self._port.timeout != limit_s:
+                self._port.timeout = limit_s
+            return bytes(self._port.read(self._chunk))
+        data, end_s = b"", time.monotonic() + limit_s
+        while len(data) < self._chunk:
+            left_s = end_s - time.monotonic()
+            if not select.select([self._file], [], [], max(left_s, 0.0))[0]:
+                break
+            more = os.read(self._file, CHUNK)
+            if not more:
+                raise ConnectionResetError("the port says that there is something, and has nothing")
+            data += more
+        return data
 
     def write(self, data: bytes) -> None:
         """Send."""

@@ -60,18 +60,19 @@ class Readout:
         Stamps follow the count of the sensor along the line of least delay, less the latency: a
         burst that comes late is spread over the time in which it was measured.
         """
-        values = np.array([self._value(reading) for reading in readings]).reshape(-1, 6)
+        told = np.array([self._valid(reading) for reading in readings], dtype=np.float64)
+        values = (told.reshape(-1, 2, 3) @ self._turn.T).reshape(-1, 6)
         return self._stamps(arrival_s - 1e-3 * self._settings.latency_ms, readings), values
 
-    def _value(self, reading: Reading) -> FloatArray:
+    def _valid(self, reading: Reading) -> Wrench:
+        """Return what a reading says in axes of the sensor, NaN where that is no measurement."""
         self.lost += reading.missed
         self.overload |= reading.overload
         self.trouble = self.trouble or reading.trouble
         self._equal = self._equal + 1 if reading.wrench == self._last else 0
         self._last = reading.wrench
         valid = not (reading.overload or reading.trouble or self.stuck)
-        wrench = reading.wrench if valid else NO_WRENCH
-        return np.concatenate([self._turn @ wrench.force_n, self._turn @ wrench.torque_nm])
+        return reading.wrench if valid else NO_WRENCH
 
     def _stamps(self, arrival_s: float, readings: Sequence[Reading]) -> FloatArray:
         if not readings:

@@ -106,7 +106,9 @@ class Front(ABC):
 
 
 class StreamFront(Front):
-    """A front whose wire carries a stream of bytes."""
+    """A front whose wire carries a stream of bytes; looks at its device every ``tick_s``."""
+
+    tick_s = TICK_S
 
     def __init__(
         self, device: Emulated, clock: Clock | None = None, faults: Faults | None = None
@@ -122,7 +124,7 @@ class StreamFront(Front):
             selector.register(file, selectors.EVENT_READ)
             while not self._stop.is_set() and not self._is_unplugged():
                 answer = b""
-                if selector.select(TICK_S):
+                if selector.select(self.tick_s):
                     data = read()
                     if not data:
                         return

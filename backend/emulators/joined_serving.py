@@ -28,8 +28,12 @@ piece = "{piece}"
 bottom = "{bottom}"
 
 """
-POLL_HZ = 200.0
-"""How often the cameras are asked for a new picture; they take them at the rate of the scene."""
+POLL_HZ = 100.0
+"""How often the cameras are asked for a new picture: once a cycle of the world, which takes them at
+the rate of the scene."""
+
+SENSOR_TICK_S = 0.004
+"""About a cycle of the arm, which feels once a cycle; each look wakes sensor and driver."""
 
 SWITCH_S = 0.0005
 """Python's own 5 ms, waited for by thread after thread, made the arm miss ten cycles at a time."""
@@ -92,9 +96,13 @@ def lab_toml(scene: Scene, emulation: Emulation) -> str:
 
 def _sensor(joined: JoinedScene, folder: Path, faults: Faults, host: str) -> Front:
     device = JoinedDynpick(joined, faults)
+    front: TcpFront | PtyFront
     if sys.platform == "win32":
-        return TcpFront(device, host, faults=faults)
-    return PtyFront(device, faults=faults, link=folder / "force_torque")
+        front = TcpFront(device, host, faults=faults)
+    else:
+        front = PtyFront(device, faults=faults, link=folder / "force_torque")
+    front.tick_s = SENSOR_TICK_S
+    return front
 
 
 def _camera(joined: JoinedScene, finger: Finger, folder: Path, plan: FaultPlan) -> GelsightFront:

@@ -21,7 +21,8 @@ from backend.emulators.melfa_commands import EmulatedCommands
 from backend.emulators.melfa_controller import EmulatedController
 from backend.emulators.melfa_stream import EmulatedStream
 
-TICK_S = 0.001
+TICK_S = 0.004
+"""Longest sleep between two looks; while cycles are counted, until the next one."""
 ALARM = 2601
 """Error of the fault ``alarm``: a position over its limit."""
 ESTOP = 50
@@ -71,6 +72,12 @@ class MelfaFront(Front):
         self.stops: list[float] = []
         """When STOP came, on the clock of the front."""
         self._on: set[str] = set()
+        controller = device.controller
+        self._begins: dict[str, Callable[[], None]] = {
+            "alarm": partial(controller.raise_error, ALARM),
+            "estop": partial(controller.press_emergency_stop, ESTOP),
+            "servo_off": partial(controller.switch_servo, False),
+        }
 
     @property
     def url(self) -> str:
@@ -131,7 +138,7 @@ class MelfaFront(Front):
                 selector.register(source, selectors.EVENT_READ)
             while not self._stop.is_set() and not self._is_unplugged():
                 answers: list[bytes] = []
-                for key, _ in selector.select(TICK_S):
+                for key, _ in selector.select(self._until_due_s()):
                     ready = key.fileobj
                     assert isinstance(ready, socket.socket)
                     if ready is stream:
@@ -148,6 +155,10 @@ class MelfaFront(Front):
         for client, session in sessions.items():
             session.closed(self._clock.now_s())
             client.close()
+
+    def _until_due_s(self) -> float:
+        left_s = self._device.controller.next_cycle_s - self._clock.now_s()
+        return min(max(left_s, 0.0), TICK_S)
 
     # -- stream -----------------------------------------------------------------------------------
 
@@ -231,12 +242,7 @@ class MelfaFront(Front):
     def _trouble(self, now_s: float) -> None:
         """Let the faults of the controller itself begin and end."""
         controller = self._device.controller
-        begins: dict[str, Callable[[], None]] = {
-            "alarm": partial(controller.raise_error, ALARM),
-            "estop": partial(controller.press_emergency_stop, ESTOP),
-            "servo_off": partial(controller.switch_servo, False),
-        }
-        for kind, begin in begins.items():
+        for kind, begin in self._begins.items():
             active = self.faults.active(kind, now_s)
             if active and kind not in self._on:
                 self._on.add(kind)

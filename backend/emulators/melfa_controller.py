@@ -119,12 +119,19 @@ class EmulatedController:
         stop |= Stop.WAIT if self.held else Stop(0)
         return run, stop
 
+    @property
+    def next_cycle_s(self) -> float:
+        """When the present cycle ends; never before time has begun."""
+        if self._begun_s is None:
+            return math.inf
+        return self._begun_s + (self._cycles + 1) * CYCLE_S
+
     def advance(self, now_s: float) -> None:
         """Run the cycles up to ``now_s``."""
         if self._begun_s is None:
             self._begun_s = now_s
         # Counted, not added up: so a cycle that ends exactly now is not left to rounding.
-        while (next_s := self._begun_s + (self._cycles + 1) * CYCLE_S) <= now_s + 1e-7:
+        while (next_s := self.next_cycle_s) <= now_s + 1e-7:
             self._cycles += 1
             self.now_s = next_s
             self._cycle()

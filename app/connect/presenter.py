@@ -10,6 +10,7 @@ from PySide6.QtWidgets import QWidget
 
 from app.activity import busy
 from app.cards import refusal_card
+from app.connect.devices import DevicesPresenter
 from app.connect.limits import LimitsPresenter
 from app.connect.sheet import ConnectSheet, Intents, RowLook, SheetLook
 from app.link import Link
@@ -38,9 +39,10 @@ class ConnectPresenter:
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._link, self._connection, self._cards, self._now_s = link, connection, cards, now_s
+        self.devices = DevicesPresenter(link, window)
         intents = Intents(
             self._connect, connection.cancel, self._disconnect, self._row, self._extra,
-            limits.open,
+            limits.open, self.devices.open,
         )  # fmt: skip
         self.sheet = ConnectSheet(window, STEPS, intents)
         self._drawn_s = float("-inf")

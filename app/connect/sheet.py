@@ -68,6 +68,7 @@ class Intents:
     row: Callable[[int], None]
     extra: Callable[[int], None]
     limits: Callable[[], None]
+    devices: Callable[[], None]
 
 
 @dataclass(slots=True)
@@ -98,7 +99,9 @@ class ConnectSheet(QDialog):
         self.connect_all = QPushButton("Connect all")
         self.connect_all.setProperty("role", "primary")
         self.cancel, self.disconnect_all = QPushButton("Cancel"), QPushButton("Disconnect all")
-        self.limits, self._close = QPushButton("Limits"), QPushButton("Close")
+        self.devices, self.limits = QPushButton("Devices"), QPushButton("Limits")
+        self._close = QPushButton("Close")
+        self._foot = (self.connect_all, self.cancel, self.disconnect_all, self.devices, self.limits)
         self._arrange()
         self._wire()
 
@@ -126,7 +129,7 @@ class ConnectSheet(QDialog):
     def _arrange(self) -> None:
         self.setWindowTitle("Connect")
         foot = QHBoxLayout()
-        for button in (self.connect_all, self.cancel, self.disconnect_all, self.limits):
+        for button in self._foot:
             foot.addWidget(button)
         foot.addStretch(1)
         foot.addWidget(self._close)
@@ -147,13 +150,14 @@ class ConnectSheet(QDialog):
         self.connect_all.setToolTip("One after the other, the arm last; nothing moves")
         self.cancel.setToolTip("End connecting; what is connected stays so")
         self.disconnect_all.setToolTip("The arm is switched off first; the gripper keeps its grip")
+        self.devices.setToolTip("Choose makes, ports and cameras, and save the lab file")
         self.connect_all.clicked.connect(self._intents.connect)
         self.cancel.clicked.connect(self._intents.cancel)
         self.disconnect_all.clicked.connect(self._intents.disconnect)
         self.limits.clicked.connect(self._intents.limits)
+        self.devices.clicked.connect(self._intents.devices)
         self._close.clicked.connect(self.close)
-        for button in (self.connect_all, self.cancel, self.disconnect_all, self.limits,
-                       self._close):  # fmt: skip
+        for button in (*self._foot, self._close):
             button.setAutoDefault(False)
 
     def _build(self, looks: Sequence[RowLook]) -> None:

@@ -1,0 +1,112 @@
+"""The device wizard: what is in sight is chosen and saved into the lab file."""
+
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QComboBox
+
+from app.connect.devices import FIELDS, LEFT, RIGHT
+from backend.config.bench_facts import BenchFacts
+from backend.config.lab import load_lab
+from backend.rig.connection import Connection
+from tests.backend.rig.scripted import scripted
+
+NUMBERS = ("2D8Y-69GR", "AAAA-1111")
+LAB = """\
+version = 1
+name = "Bench 2"
+kind = "hardware"
+
+[melfa]   # ask Ann before it moves
+host = "192.168.0.20"
+
+[ft]
+driver = "dynpick"
+address = "/dev/serial/by-id/left-behind"
+
+[gelsight]
+by_id = "{0}/none"
+names = "{0}/names"
+left = {{ serial = "AAAA-1111" }}   # thumb
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    for number, serial in enumerate(NUMBERS):
+        card = tmp_path / "names" / f"video{number}"
+        card.mkdir(parents=True)
+        (card / "index").write_text("0\n")
+        (card / "name").write_text(f"GelSight Mini R0B {serial}\n")
+    made = tmp_path / "lab.toml"
+    made.write_text(LAB.format(tmp_path), "utf-8")
+    return made
+
+
+@pytest.fixture
+def wizard(main, bench, file):
+    """The form of a bench whose devices are not connected, as the operator opens it."""
+    bench.connection, bench.name = Connection(scripted()[0]), "Bench 2"
+    bench.facts, bench.simulated = BenchFacts(mode="hardware"), False
+    bench.limits_source = str(file)
+    main.attach(bench)
+    main.panels.connect.sheet.devices.click()
+    yield main.panels.connect.devices.sheet
+    bench.connection.close()
+
+
+def write(sheet, key, text):
+    editor = sheet.editors[key]
+    editor.setFocus()
+    editor = editor.lineEdit() if isinstance(editor, QComboBox) else editor
+    editor.selectAll()
+    QTest.keyClicks(editor, text)
+
+
+def test_it_shows_the_file_and_offers_what_is_in_sight(wizard):
+    assert wizard.isVisible()
+    assert set(wizard.values()) == {field.key for field in FIELDS}
+    shown = wizard.values()
+    assert shown["ft.address"] == "/dev/serial/by-id/left-behind"
+    assert (shown[LEFT], shown[RIGHT]) == ("AAAA-1111", "")
+    box = wizard.editors[RIGHT]
+    assert [box.itemText(i) for i in range(box.count())] == list(NUMBERS)
+    makes = wizard.editors["ft.driver"]
+    assert {"dynpick", "bota", "netft"} <= {makes.itemText(i) for i in range(makes.count())}
+    assert "2D8Y-69GR, AAAA-1111" in wizard.said.text()
+    assert all(editor.accessibleName() for editor in wizard.editors.values())
+
+
+def test_what_is_chosen_is_saved_and_the_rest_of_the_file_stays(wizard, file):
+    write(wizard, RIGHT, "2D8Y-69GR")
+    wizard.swap.click()
+    write(wizard, "ft.driver", "bota")
+    write(wizard, "wsg.port", "1001")
+    QTest.mouseClick(wizard.save, Qt.MouseButton.LeftButton)
+    assert wizard.said.text().startswith("Saved.")
+    settings = load_lab(file).settings
+    assert (settings.gelsight.left.serial, settings.gelsight.right.serial) == NUMBERS
+    assert (settings.ft.driver, settings.wsg.port) == ("bota", 1001)
+    text = file.read_text("utf-8")
+    assert "# ask Ann before it moves" in text
+    assert 'left = { serial = "2D8Y-69GR" }   # thumb' in text
+    wizard.save.click()
+    assert wizard.said.text() == "Nothing is changed."
+
+
+@pytest.mark.parametrize(
+    ("key", "text", "said"),
+    [
+        (RIGHT, "AAAA-1111", "Both fingers have the same camera."),
+        ("wsg.port", "soon", "Gripper, port: write a number."),
+        ("wsg.port", "70000", "wsg.port"),
+        ("melfa.host", "127.0.0.1", "melfa.host"),
+        ("ft.driver", "dynapick", "There is no 'dynapick' here: use one of dynpick, leptrino"),
+    ],
+)
+def test_what_cannot_be_used_is_said_and_not_saved(wizard, file, key, text, said):
+    before = file.read_text("utf-8")
+    write(wizard, key, text)
+    wizard.save.click()
+    assert said in wizard.said.text()
+    assert file.read_text("utf-8") == before

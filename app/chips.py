@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 
 from app.link import Link
+from backend.devices.degraded import Degraded
 from backend.devices.protocols import Arm, Device, DeviceState, Health
 from widgets.device_chip import ChipState, ChipValue
 from widgets.freshness import Age, Freshness
@@ -40,17 +41,18 @@ class ChipsPresenter:
             return False
         self._drawn_s = now_s
         devices = self._link.devices
+        degraded = {one.device: one for one in self._link.degraded}
         for key, _ in CHIPS:
             device = devices.get(key)
             if device is not None:
-                self._bar.chips[key].show_value(self._chip(key, device, now_s))
+                self._bar.chips[key].show_value(self._chip(key, device, now_s, degraded.get(key)))
         arm = devices.get("arm")
         if arm is not None:
             status = _arm(arm).status()
             self._bar.show_modes(status.robot_mode.value, status.safety_mode.value)
         return True
 
-    def _chip(self, key: str, device: Device, now_s: float) -> ChipValue:
+    def _chip(self, key: str, device: Device, now_s: float, degraded: Degraded | None) -> ChipValue:
         health, fresh = device.health, self._fresh[key]
         fresh.note(health.received, now_s)
         state: ChipState = _STATES[device.state]
@@ -58,6 +60,11 @@ class ChipsPresenter:
         if state == "ready" and age in (Age.STALE, Age.GONE):
             state = "stale"
             detail = f"stale {fresh.age_s(now_s):.1f} s"
+        elif state == "ready" and degraded is not None:
+            state = "degraded"
+            lasted_s = self._link.clock_s() - degraded.since_s
+            figure = f"{health.rate_hz:.0f} Hz" if degraded.how == "slow" else f"{lasted_s:.1f} s"
+            detail = f"{degraded.how} {figure}"
         elif device.state is DeviceState.READY and not math.isfinite(health.age_s):
             detail = "no data yet"
         elif device.state is DeviceState.READY:

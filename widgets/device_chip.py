@@ -12,10 +12,11 @@ from PySide6.QtWidgets import QSizePolicy, QWidget
 from widgets.state_pill import Colour, Shape, draw_shape
 from widgets.theme import Theme, ui_font
 
-ChipState = Literal["ready", "connecting", "stale", "fault", "closed"]
+ChipState = Literal["ready", "connecting", "degraded", "stale", "fault", "closed"]
 _LOOK: dict[ChipState, tuple[Shape, Colour]] = {
     "ready": ("disc", "green"),
     "connecting": ("ring", "blue"),
+    "degraded": ("bang", "yellow"),
     "stale": ("triangle", "yellow"),
     "fault": ("square", "red"),
     "closed": ("ring", "grey"),

@@ -35,8 +35,8 @@ PACES = (
 )
 SHORT = {
     "DRAGGING": "lift first", "TURN-PRESSING": "lift first", "TURN-LOW": "go up first",
-    "JOG-FORCE": "too much force", "RECOVERY": "only away", "FT-UNKNOWN": "no force",
-    "NO-POSE": "no pose",
+    "JOG-FORCE": "too much force", "RECOVERY": "only away", "DEGRADED": "only away",
+    "FT-UNKNOWN": "no force", "NO-POSE": "no pose",
 }  # fmt: skip
 """What a pad says instead of its range while its way is refused."""
 
@@ -185,6 +185,7 @@ class HandPresenter:
         slow = hand.jog.state.slow
         recovering, turned = self._link.interlock.recovering, turned_rad(pose) > 0.0
         note = "Recovery: jog away from contact" if recovering else self._contact(hand)
+        note = note or self._link.interlock.degraded
         warn = bool(note)
         if not note and turned_rad(pose) > LEVEL_RAD:
             note = (

@@ -155,7 +155,9 @@ class GuardedArm(_Guarded):
         if speed:
             x, y, z = (part / speed for part in velocity_mm_s)
             way = (x, y, z)
-            refuse_forced(self._press_n(), way, limits, recovering=self._interlock.recovering)
+            lock = self._interlock
+            recovering, degraded = lock.recovering, lock.degraded
+            refuse_forced(self._press_n(), way, limits, recovering=recovering, degraded=degraded)
             left_mm = room_mm(here, way, limits)
             if z < 0:
                 left_mm = min(left_mm, falls_mm(here, self._surface_mm(), limits) / -z)

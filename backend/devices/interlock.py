@@ -156,6 +156,9 @@ class Interlock:
         self.recovering = False
         """True from the reset of a fault until the wrist is free of contact: then the arm moves
         by hand, slowly and away from contact only."""
+        self.degraded = ""
+        """Which device is late or slow, in words: by hand the arm then only moves away from
+        contact. Empty while all are well."""
         self.untested_release = False
         """True only on a simulated bench while the pick-and-place baseline runs."""
 
@@ -263,10 +266,12 @@ class Interlock:
 
     def refuse_latched(self) -> None:
         """Raise ``RefusedError`` after a stop or a fault, until ``reset``."""
-        if self._stopped_by:
-            raise RefusedError("STOPPED", f"Stopped by {self._stopped_by}: press Reset first.")
-        if self._faults:
-            raise RefusedError("FAULT", f"{self._faults[0].what} Press Reset first.")
+        with self._lock:
+            stopped_by, faults = self._stopped_by, self._faults
+        if stopped_by:
+            raise RefusedError("STOPPED", f"Stopped by {stopped_by}: press Reset first.")
+        if faults:
+            raise RefusedError("FAULT", f"{faults[0].what} Press Reset first.")
 
     def require_motion(self, now_s: float) -> None:
         """Raise ``RefusedError`` unless motion may start now."""

@@ -64,14 +64,20 @@ def refuse_outside(target: Pose, limits: Limits) -> None:
         )
 
 
-def refuse_forced(press_n: float, way: Way, limits: Limits, *, recovering: bool) -> None:
-    """Raise ``RefusedError`` if the wrist feels a force that forbids ``way``; NaN refuses."""
+def refuse_forced(
+    press_n: float, way: Way, limits: Limits, *, recovering: bool, degraded: str = ""
+) -> None:
+    """Raise ``RefusedError`` if the wrist feels a force that forbids ``way``; NaN refuses.
+
+    ``degraded``: which device is late or slow, in words; then only the way out of contact is free.
+    """
     if not math.isfinite(press_n):
         raise RefusedError("FT-UNKNOWN", "The force at the wrist is not known.")
-    away = way[2] * math.copysign(1.0, press_n) > 0.99
-    if away:
+    # Below the force of a contact the sign is noise, and up is away from whatever may be below.
+    up = press_n >= -limits.contact_n
+    if (way[2] if up else -way[2]) > 0.99:
         return
-    free = "+Z" if press_n > 0 else "\N{MINUS SIGN}Z"
+    free = "+Z" if up else "\N{MINUS SIGN}Z"
     if abs(press_n) > limits.jog_guard_n:
         raise RefusedError(
             "JOG-FORCE",
@@ -82,6 +88,8 @@ def refuse_forced(press_n: float, way: Way, limits: Limits, *, recovering: bool)
         raise RefusedError(
             "RECOVERY", f"After a fault only {free}, away from contact, is possible."
         )
+    if degraded:
+        raise RefusedError("DEGRADED", f"{degraded} Until it is well only {free} is possible.")
     if abs(press_n) > limits.contact_n and math.hypot(way[0], way[1]) > 1e-6:
         raise RefusedError("DRAGGING", f"Fz is {press_n:.1f} N: lift first, then move sideways.")
 

@@ -78,12 +78,20 @@ class Permit:
         press_n, interlock = self._around.press_n(), self._interlock
         if not turns(axis):
             way = self.way(axis, frame, signed)
-            refuse_forced(press_n, way, interlock.limits, recovering=interlock.recovering)
+            refuse_forced(
+                press_n,
+                way,
+                interlock.limits,
+                recovering=interlock.recovering,
+                degraded=interlock.degraded,
+            )
             return
         if not self._arm.rotates:
             raise RefusedError("NO-TURN", "This arm keeps its hand straight down.")
         if interlock.recovering:
             raise RefusedError("RECOVERY", "After a fault: jog away from contact first.")
+        if interlock.degraded:
+            raise RefusedError("DEGRADED", f"{interlock.degraded} Turn once it is well.")
         refuse_turning(self.here(), self._around.surface_mm(), press_n, interlock.limits)
 
     def left(self, axis: Axis, frame: Frame, signed: float) -> float:

@@ -1,11 +1,13 @@
 """Watches the sensors while the bench moves: a silent or raving sensor ends motion with a fault.
 
 Called once per advance of the bench, with the bench clock. Limits come from the interlock
-(reliability sections 3.3, 4.7 and 6). On the way to a fault a sensor is ``degraded``.
+(reliability sections 3.3, 4.7 and 6). On the way to a fault a device is ``degraded``, and by hand
+the arm then only moves away from contact. A gripper is watched as long as it holds a piece.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -13,8 +15,17 @@ import numpy as np
 from backend.core.faults import Fault
 from backend.core.flow import FINGERS, Finger, ImageArray, TactileFrame
 from backend.core.stream import SampleStream, Stream
-from backend.devices.degraded import LATE_SHARE, NAMES, Degraded, Rate, pause_fault
+from backend.devices.degraded import (
+    GRIP_LATE_S,
+    GRIP_LOST_S,
+    LATE_SHARE,
+    NAMES,
+    Degraded,
+    Rate,
+    pause_fault,
+)
 from backend.devices.interlock import Interlock
+from backend.devices.protocols import Device, Gripper
 
 GRACE_S = 1.0
 """After a scene begins the sensors get this long to deliver their first samples."""
@@ -25,7 +36,7 @@ _LOOK = "Check the device and its cable, then press Reset."
 
 
 class Supervision:
-    """One watch over the tared wrench and both cameras."""
+    """One watch over the tared wrench, both cameras, and the gripper that holds a piece."""
 
     def __init__(
         self,
@@ -38,18 +49,30 @@ class Supervision:
         self._begun_s = 0.0
         self._finite_s = 0.0
         self._repeats = {finger: _Repeats(frames[finger]) for finger in FINGERS}
-        self._rate = Rate()
+        self._rates = {device: Rate() for device in LATE_SHARE}
+        self._counts = {finger: frames[finger].count for finger in FINGERS}
+        self._wrist: Device | None = None
+        self._gripper: Gripper | None = None
         self.degraded: tuple[Degraded, ...] = ()
-        """Sensors that are late or slow now; for any thread."""
+        """Devices that are late or slow now; for any thread."""
         self._now_s = 0.0
 
-    def begin(self, now_s: float) -> None:
-        """Count ages from here: a new scene began."""
+    def begin(
+        self, now_s: float, gripper: Gripper | None = None, wrist: Device | None = None
+    ) -> None:
+        """Count ages from here: a new scene began.
+
+        ``gripper`` is watched while it holds a piece; ``wrist`` tells its usual rate as the field
+        ``usual_hz``.
+        """
+        self._gripper, self._wrist = gripper, wrist
         self._begun_s = self._finite_s = now_s
         self._cursor = self._wrench.count
         self._repeats = {finger: _Repeats(self._frames[finger]) for finger in FINGERS}
-        self._rate.begin()
-        self.degraded = ()
+        self._counts = {finger: self._frames[finger].count for finger in FINGERS}
+        for rate in self._rates.values():
+            rate.begin()
+        self._show((), now_s)
 
     def check(self, now_s: float) -> None:
         """Raise (latch) a fault if a sensor is silent, frozen, not finite, or over its limit."""
@@ -60,15 +83,21 @@ class Supervision:
             finite = np.isfinite(samples.values).all(axis=1)
             if finite.any():
                 self._finite_s = float(samples.t_s[finite][-1])
-                self._rate.note(self._finite_s, int(np.count_nonzero(finite)))
+                count = int(np.count_nonzero(finite))
+                self._rates["force_torque"].note(self._finite_s, count, self._usual_hz)
                 self._check_trip(samples.values[finite])
         self._check_frozen()
         if now_s - self._begun_s < GRACE_S:
             return
         self._check_ages(now_s)
 
+    def _usual_hz(self) -> float:
+        """Return the rate that the wrist sensor tells of itself; 0 where it tells none."""
+        told = 0.0 if self._wrist is None else self._wrist.describe().get("usual_hz", 0.0)
+        return told if isinstance(told, float) and math.isfinite(told) else 0.0
+
     def unwell(self) -> Fault | None:
-        """Return what to say of a run that pauses for a degraded sensor; None if all are well."""
+        """Return what to say of a run that pauses for a degraded device; None if all are well."""
         return next((pause_fault(one, self._now_s) for one in self.degraded), None)
 
     def _check_trip(self, wrench: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> None:
@@ -109,15 +138,33 @@ class Supervision:
             newest = self._frames[finger].newest()
             last_s = self._begun_s if newest is None else max(self._begun_s, newest.t_s)
             ages.append((f"tactile_{finger}", last_s, limits.frame_age_s))
+            if newest is not None:
+                seen, self._counts[finger] = self._counts[finger], self._frames[finger].count
+                self._rates[f"tactile_{finger}"].note(newest.t_s, self._counts[finger] - seen)
         for device, last_s, limit_s in ages:
-            if now_s - last_s > LATE_SHARE[device] * limit_s:
+            slow_s = self._rates[device].slow_since_s
+            if slow_s is not None:
+                late.append(Degraded(device, "slow", slow_s))
+            elif now_s - last_s > LATE_SHARE[device] * limit_s:
                 late.append(Degraded(device, "silent", last_s))
             if now_s - last_s > limit_s:
                 self._interlock.raise_fault(_stale(device, now_s - last_s))
-        slow_s = self._rate.slow_since_s
-        if slow_s is not None and not any(one.device == "force_torque" for one in late):
-            late.append(Degraded("force_torque", "slow", slow_s))
-        self.degraded = tuple(late)
+        late.extend(self._check_grip(now_s))
+        self._show(tuple(late), now_s)
+
+    def _check_grip(self, now_s: float) -> list[Degraded]:
+        """Return the gripper if it holds a piece and is late; a fault if it stays silent."""
+        gripper = self._gripper
+        if gripper is None or not gripper.status().holding:
+            return []
+        last_s = max(self._begun_s, now_s - gripper.health.age_s)
+        if now_s - last_s > GRIP_LOST_S:
+            self._interlock.raise_fault(_stale("gripper", now_s - last_s))
+        return [Degraded("gripper", "silent", last_s)] if now_s - last_s > GRIP_LATE_S else []
+
+    def _show(self, late: tuple[Degraded, ...], now_s: float) -> None:
+        self.degraded = late
+        self._interlock.degraded = late[0].what(now_s) if late else ""
 
 
 def _stale(device: str, age_s: float) -> Fault:
@@ -125,7 +172,9 @@ def _stale(device: str, age_s: float) -> Fault:
     if device == "force_torque":
         what = f"No valid force/torque sample for {age_s:.1f} s."
         return Fault("FT-STALE", what, _KEPT, _LOOK, device)
-    what = f"The {NAMES[device]} is silent for {age_s:.1f} s."
+    what = f"The {NAMES[device]} has been silent for {age_s:.1f} s."
+    if device == "gripper":
+        return Fault("GRIP-STALE", f"{what} It held a piece.", _KEPT, _LOOK, device)
     return Fault("CAMERA-STALE", what, _KEPT, _LOOK, device)
 
 

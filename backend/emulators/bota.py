@@ -27,7 +27,7 @@ class EmulatedBota:
         self._wrench, self._rated = wrench, tuple(rated)
         self._quiet_in_config = quiet_in_config
         self._requests = bota.requests()
-        self._pace = Pace()
+        self.pace = Pace()
         self._sinc = DEFAULT_SINC
         self._booted = self._configuring = False
 
@@ -41,15 +41,15 @@ class EmulatedBota:
         if not self._booted:
             self._booted = True
             boot = bota.encode(Boot())
-            self._pace.begin(now_s, self._period_s)
-        _, times = self._pace.due(now_s)
+            self.pace.begin(now_s, self._period_s)
+        _, times = self.pace.due(now_s)
         return boot + b"".join(map(self._frame, times))
 
     def closed(self, now_s: float) -> None:
         """Start again with the next client, as a sensor powered by its plug does."""
         self._booted = self._configuring = False
         self._sinc = DEFAULT_SINC
-        self._pace.end()
+        self.pace.end()
         self._requests.reset()
 
     @property
@@ -60,14 +60,14 @@ class EmulatedBota:
         if request.command == "C":
             self._configuring = True
             if self._quiet_in_config:
-                self._pace.end()
+                self.pace.end()
         elif not self._configuring:
             return b""
         elif request.command == "f":
             self._sinc = request.arguments[0]
         elif request.command == "R":
             self._configuring = False
-            self._pace.begin(now_s + self._period_s, self._period_s)
+            self.pace.begin(now_s + self._period_s, self._period_s)
         return bota.encode(Reply(request.command, 0))
 
     def _frame(self, now_s: float) -> bytes:

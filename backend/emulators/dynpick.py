@@ -33,12 +33,12 @@ class EmulatedDynpick:
         self._commands = dynpick.command_stream()
         self._offset: tuple[int, ...] = (0,) * 6
         self._divider, self._tick = 1, 0
-        self._pace = Pace()
+        self.pace = Pace()
 
     @property
     def streaming(self) -> bool:
         """Whether records go out of themselves."""
-        return self._pace.running
+        return self.pace.running
 
     def receive(self, now_s: float, data: bytes) -> bytes:
         """Take commands; return the answers."""
@@ -46,7 +46,7 @@ class EmulatedDynpick:
 
     def due(self, now_s: float) -> bytes:
         """Return the records of the stream up to now."""
-        late, times = self._pace.due(now_s)
+        late, times = self.pace.due(now_s)
         self._tick = (self._tick + late) % 10
         return b"".join(map(self._record, times))
 
@@ -71,15 +71,15 @@ class EmulatedDynpick:
     def _change(self, now_s: float, command: Command) -> None:
         match command:
             case Command.START:
-                self._pace.begin(now_s, self._divider / RATE_HZ)
+                self.pace.begin(now_s, self._divider / RATE_HZ)
             case Command.STOP:
-                self._pace.end()
+                self.pace.end()
             case Command.OFFSET_RESET:
                 self._offset = self._counts(now_s)
             case _ if command in _DIVIDERS:
                 self._divider = _DIVIDERS[command]
                 if self.streaming:
-                    self._pace.begin(now_s, self._divider / RATE_HZ)
+                    self.pace.begin(now_s, self._divider / RATE_HZ)
 
     def _counts(self, now_s: float) -> tuple[int, ...]:
         values = zip(self._wrench(now_s), self._sensitivity, strict=True)

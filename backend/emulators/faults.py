@@ -31,13 +31,13 @@ wire stays; unplug: the wire is gone and comes back at the end of the fault."""
 DATAGRAM_KINDS = ("reorder",)
 """Two datagrams change places."""
 DEVICE_KINDS: dict[str, tuple[str, ...]] = {
-    "force_torque": ("freeze", "saturate"),
+    "force_torque": ("freeze", "saturate", "slow"),
     "gripper": ("part_lost", "fast_stop", "power"),
-    "tactile_left": ("freeze", "dark"),
-    "tactile_right": ("freeze", "dark"),
+    "tactile_left": ("freeze", "dark", "slow"),
+    "tactile_right": ("freeze", "dark", "slow"),
     "arm": ("alarm", "estop", "servo_off"),
 }
-"""What only one kind of device can suffer from."""
+"""What only one kind of device can suffer from. slow: takes ``hz`` samples a second at most."""
 
 Share = Annotated[float, Field(gt=0, le=1)]
 LONGEST_GARBAGE = 64
@@ -52,6 +52,7 @@ class PlannedFault(Settings):
     for_s: Positive | None = None
     share: Share = 1.0
     by_s: Positive = 0.1
+    hz: Positive | None = None
 
     @model_validator(mode="after")
     def _known(self) -> PlannedFault:
@@ -62,6 +63,8 @@ class PlannedFault(Settings):
             raise ValueError(
                 f"'{self.device}' has no fault '{self.kind}': use one of {', '.join(kinds)}"
             )
+        if (self.kind == "slow") != (self.hz is not None):
+            raise ValueError("'hz', how many samples a second, belongs to 'slow' and to no other")
         return self
 
     def holds(self, t_s: float) -> bool:

@@ -38,7 +38,7 @@ class EmulatedFt300:
     def __init__(self, wrench: Callable[[float], Sequence[float]]) -> None:
         self._wrench = wrench
         self._requests = robotiq_ft300.requests()
-        self._pace = Pace()
+        self.pace = Pace()
 
     def receive(self, now_s: float, data: bytes) -> bytes:
         """Take requests; return the answers."""
@@ -47,7 +47,7 @@ class EmulatedFt300:
 
     def due(self, now_s: float) -> bytes:
         """Return the frames of the stream up to now."""
-        _, times = self._pace.due(now_s)
+        _, times = self.pace.due(now_s)
         return b"".join(robotiq_ft300.encode(self._sample(t_s)) for t_s in times)
 
     def closed(self, now_s: float) -> None:
@@ -55,15 +55,15 @@ class EmulatedFt300:
 
     def _answer(self, now_s: float, request: Request) -> Incoming | None:
         if isinstance(request, Stop):
-            self._pace.end()
+            self.pace.end()
             return None
-        if self._pace.running:
+        if self.pace.running:
             return None
         if isinstance(request, Read):
             return self._registers(now_s, request)
         wanted = request.value if isinstance(request, WriteOne) else request.values[0]
         if request.register == STREAM_REGISTER and wanted == STREAM_ON:
-            self._pace.begin(now_s, PERIOD_S)
+            self.pace.begin(now_s, PERIOD_S)
         return Written(request.register, 1) if isinstance(request, WriteMany) else request
 
     def _registers(self, now_s: float, request: Read) -> Registers | Refused:

@@ -20,6 +20,7 @@ from backend.core.flow import ImageArray
 from backend.emulators.faults import Faults
 from backend.emulators.front import Front
 from backend.emulators.gel_pictures import Pictures
+from backend.simulation.disturbances import Thinned
 
 RATE_HZ = 25.0
 QUALITY = 95
@@ -45,6 +46,7 @@ class GelsightFront(Front):
         self._pictures, self._folder, self._serial = pictures, folder, serial
         self._period_s = 1.0 / rate_hz
         self._last: bytes | None = None
+        self._thinned = Thinned()
         for part in ("by-id", "names", "nodes"):
             (folder / part).mkdir(parents=True, exist_ok=True)
         self._node = self._plug()
@@ -117,7 +119,10 @@ class GelsightFront(Front):
 
     def _picture(self, now_s: float) -> bytes | None:
         picture = self._pictures(now_s)
+        slow = self.faults.find("slow", now_s)
         if picture is None:
+            return None
+        if slow is not None and slow.hz is not None and not self._thinned.takes(now_s, slow.hz):
             return None
         if self._last is not None and self.faults.active("freeze", now_s):
             return self._last

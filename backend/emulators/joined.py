@@ -209,7 +209,9 @@ class JoinedDynpick(EmulatedDynpick):
     """The emulated wrist sensor of the scene: it tells of no time that the world has not seen."""
 
     def __init__(self, joined: JoinedScene, faults: Faults | None = None) -> None:
-        super().__init__(suffering(joined.wrench, faults or Faults("force_torque")))
+        faults = faults or Faults("force_torque")
+        super().__init__(suffering(joined.wrench, faults))
+        self.pace.faults = faults
         self._joined = joined
 
     def due(self, now_s: float) -> bytes:

@@ -35,7 +35,7 @@ class EmulatedLeptrino:
         self._wrench, self._rated = wrench, tuple(rated)
         self._commands = leptrino.packets()
         self._bad = 0
-        self._pace = Pace()
+        self.pace = Pace()
 
     def receive(self, now_s: float, data: bytes) -> bytes:
         """Take commands; a frame with a wrong check is answered with NAK."""
@@ -49,7 +49,7 @@ class EmulatedLeptrino:
 
     def due(self, now_s: float) -> bytes:
         """Return the samples of the stream up to now."""
-        _, times = self._pace.due(now_s)
+        _, times = self.pace.due(now_s)
         return b"".join(leptrino.encode(self._sample(t_s, Command.START)) for t_s in times)
 
     def closed(self, now_s: float) -> None:
@@ -66,9 +66,9 @@ class EmulatedLeptrino:
         if command == Command.GET_FILTER:
             return Filter(Command.GET_FILTER, 0)
         if command == Command.START:
-            self._pace.begin(now_s + PERIOD_S, PERIOD_S)
+            self.pace.begin(now_s + PERIOD_S, PERIOD_S)
         elif command == Command.STOP:
-            self._pace.end()
+            self.pace.end()
         elif command != Command.SET_FILTER:
             return Plain(command or 0, UNDEFINED)
         return Plain(command)

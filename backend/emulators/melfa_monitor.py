@@ -25,7 +25,7 @@ class EmulatedMonitor:
         self, wrench: Callable[[float], Sequence[float]], *, type_force: int = TYPE_FORCE
     ) -> None:
         self._wrench, self._force = wrench, type_force
-        self._pace = Pace()
+        self.pace = Pace()
         self._types: Types = (0, 0, 0, 0)
         self._counter = 0
 
@@ -37,14 +37,14 @@ class EmulatedMonitor:
             return []
         if request.command == START:
             self._types = request.types
-            self._pace.begin(now_s, CYCLE_S)
+            self.pace.begin(now_s, CYCLE_S)
         else:
-            self._pace.end()
+            self.pace.end()
         return []
 
     def due(self, now_s: float) -> list[bytes]:
         """Return the packets up to now."""
-        late, times = self._pace.due(now_s)
+        late, times = self.pace.due(now_s)
         self._counter = (self._counter + late) % COUNTER_TURN
         return [self._packet(t_s) for t_s in times]
 

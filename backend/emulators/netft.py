@@ -32,7 +32,7 @@ class EmulatedNetFt:
         self, wrench: Callable[[float], Sequence[float]], *, rate_hz: float = RATE_HZ
     ) -> None:
         self._wrench, self._period_s = wrench, 1.0 / rate_hz
-        self._pace = Pace()
+        self.pace = Pace()
         self._left: int | None = None
         self._sequence = self._ft_sequence = 0
         self._bias: tuple[int, ...] = (0,) * 6
@@ -46,22 +46,22 @@ class EmulatedNetFt:
         if request.command == Command.BIAS:
             self._bias = self._raw(now_s)
         elif request.command == Command.STOP:
-            self._pace.end()
+            self.pace.end()
         elif request.command in _STARTS:
             self._left = request.count or None
             self._sequence = 0
-            self._pace.begin(now_s, self._period_s)
+            self.pace.begin(now_s, self._period_s)
         return []
 
     def due(self, now_s: float) -> list[bytes]:
         """Return the records up to now, one a datagram."""
-        late, times = self._pace.due(now_s)
+        late, times = self.pace.due(now_s)
         self._sequence = (self._sequence + late) % SEQUENCE_TURN
         if self._left is not None:
             times = times[: self._left]
             self._left -= len(times)
             if not self._left:
-                self._pace.end()
+                self.pace.end()
         return [net_ft.encode_records((self._record(t_s),)) for t_s in times]
 
     def _raw(self, now_s: float) -> tuple[int, ...]:

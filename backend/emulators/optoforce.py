@@ -29,7 +29,7 @@ class EmulatedOptoforce:
         self._wrench, self._capacity = wrench, tuple(capacity)
         self._per_unit = tuple(c / load for c, load in zip(counts, capacity, strict=True))
         self._requests = optoforce.requests()
-        self._pace = Pace()
+        self.pace = Pace()
         self._count = 0
         self._zero: tuple[int, ...] = (0,) * 6
 
@@ -39,7 +39,7 @@ class EmulatedOptoforce:
 
     def due(self, now_s: float) -> bytes:
         """Return the frames of the stream up to now."""
-        late, times = self._pace.due(now_s)
+        late, times = self.pace.due(now_s)
         self._count = (self._count + late) % COUNT_TURN
         return b"".join(map(self._frame, times))
 
@@ -52,9 +52,9 @@ class EmulatedOptoforce:
         self._zero = self._raw(now_s) if request.zero == ZERO_NOW else (0,) * 6
         rate_hz = SPEED_HZ[request.speed]
         if rate_hz:
-            self._pace.begin(now_s, 1.0 / rate_hz)
+            self.pace.begin(now_s, 1.0 / rate_hz)
         else:
-            self._pace.end()
+            self.pace.end()
         return optoforce.encode(Ack(0))
 
     def _raw(self, now_s: float) -> tuple[int, ...]:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 
+from backend.emulators.faults import Faults
+from backend.simulation.disturbances import Thinned
+
 MOST_DUE = 200
 """Samples sent at once after a pause; older ones are lost, as in the buffer of an adapter."""
 
@@ -15,6 +18,9 @@ class Pace:
         self._start_s: float | None = None
         self._period_s = 1.0
         self._sent = 0
+        self._thinned = Thinned()
+        self.faults: Faults | None = None
+        """Of the sensor: the kind ``slow`` makes fewer samples due, which it numbers as usual."""
 
     @property
     def running(self) -> bool:
@@ -36,4 +42,9 @@ class Pace:
         end = math.floor((now_s - self._start_s) / self._period_s + 1e-6) + 1
         late = max(0, end - self._sent - MOST_DUE)
         first, self._sent = self._sent + late, max(end, self._sent)
-        return late, [self._start_s + k * self._period_s for k in range(first, end)]
+        times_s = [self._start_s + k * self._period_s for k in range(first, end)]
+        return late, [t_s for t_s in times_s if self._taken(t_s)]
+
+    def _taken(self, t_s: float) -> bool:
+        slow = None if self.faults is None else self.faults.find("slow", t_s)
+        return slow is None or slow.hz is None or self._thinned.takes(t_s, slow.hz)

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Protocol
 
 from backend.config.hardware import HardwareSettings
 from backend.core.faults import InputError
@@ -26,11 +27,20 @@ from backend.emulators.melfa import TIMEOUT_CYCLES, EmulatedMelfa, MelfaFront
 from backend.emulators.melfa_monitor import TYPE_FORCE, EmulatedMonitor
 from backend.emulators.netft import EmulatedCalibration, EmulatedNetFt, EmulatedPage
 from backend.emulators.optoforce import CAPACITY, COUNTS, EmulatedOptoforce
+from backend.emulators.pace import Pace
 from backend.emulators.wsg import EmulatedWsg
 from backend.emulators.wsg_gcl import EmulatedGcl
 
 Wrench = Callable[[float], Sequence[float]]
-SERIAL: dict[str, Callable[[Wrench], Emulated]] = {
+
+
+class Paced(Emulated, Protocol):
+    """A sensor that sends its samples of itself."""
+
+    pace: Pace
+
+
+SERIAL: dict[str, Callable[[Wrench], Paced]] = {
     "dynpick": EmulatedDynpick,
     "leptrino": EmulatedLeptrino,
     "ft300": EmulatedFt300,
@@ -129,6 +139,7 @@ def bench_toml(bench: Mapping[str, Mapping[str, object]]) -> str:
 
 def _serial(choice: Choice, faults: Faults) -> Emulation:
     device = SERIAL[choice.kind](suffering(choice.wrench, faults))
+    device.pace.faults = faults
     front: Front
     if choice.port is not None or sys.platform == "win32":
         front = TcpFront(device, choice.host, choice.port or 0, faults=faults)
@@ -144,6 +155,7 @@ def _net_ft(choice: Choice, faults: Faults) -> Emulation:
     """Serve the datagrams on the port, the TCP channel below it, the page above."""
     port = choice.port or 0
     sensor = EmulatedNetFt(suffering(choice.wrench, faults))
+    sensor.pace.faults = faults
     front = UdpFront(sensor, choice.host, port, faults=faults)
     channel = TcpFront(EmulatedCalibration(), choice.host, port - 1 if port else 0)
     page = TcpFront(EmulatedPage(), choice.host, port + 1 if port else 0)
@@ -156,6 +168,7 @@ def _net_ft(choice: Choice, faults: Faults) -> Emulation:
 
 def _monitor(choice: Choice, faults: Faults) -> Emulation:
     sensor = EmulatedMonitor(suffering(choice.wrench, faults))
+    sensor.pace.faults = faults
     front = UdpFront(sensor, choice.host, choice.port or 0, faults=faults)
     bench: dict[str, Mapping[str, object]] = {
         "ft": {"driver": "melfa", "address": front.url},

@@ -48,6 +48,7 @@ from backend.runs.plan import (
     Plan,
     StoppedError,
     Waiting,
+    stopped_words,
     timeout_fault,
 )
 from backend.runs.requests import RunState, RunStatus
@@ -154,6 +155,9 @@ class Engine:
                 return
             if self._interlock.latched and not isinstance(self._throw, StoppedError | FaultError):
                 self._throw = self._why_stopped()
+                if self._status.state in (RunState.PAUSING, RunState.PAUSED):
+                    # A plan that is paused would not come to tell how its trial ended.
+                    self._status = replace(self._status, state=RunState.FINISHING)
         for _ in range(10_000):
             self._interlock.renew_lease(self._now_s())
             if not self._may_go_on():
@@ -301,7 +305,7 @@ class Engine:
         faults = self._interlock.faults
         if faults:
             return FaultError(faults[0])
-        return StoppedError(f"stopped by {self._interlock.stopped_by}")
+        return StoppedError(stopped_words(self._interlock.stopped_by))
 
 
 def _followed(status: RunStatus, fact: Fact) -> RunStatus:

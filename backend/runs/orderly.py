@@ -9,7 +9,7 @@ from backend.core.facts import FaultRaised, Said
 from backend.core.faults import FaultError, RefusedError, StaleSampleError
 from backend.runs.bench import Bench
 from backend.runs.motions import lift
-from backend.runs.plan import CancelledError, Plan, StoppedError
+from backend.runs.plan import CancelledError, Plan, StoppedError, stopped_words
 from backend.runs.stale import stale_fault
 
 RunEnding = Literal["finished", "cancelled", "stopped", "failed"]
@@ -38,6 +38,11 @@ def orderly(bench: Bench, plan: Plan[R]) -> Plan[Ended[R]]:
     except StoppedError as cause:
         return Ended(None, "stopped", str(cause))
     except RefusedError as cause:
+        faults = bench.interlock.faults
+        if faults:
+            # The order met the latch of a fault that nobody has told this run yet.
+            yield FaultRaised(bench.now_s(), faults[0])
+            return Ended(None, "failed", str(FaultError(faults[0])))
         if bench.interlock.latched:
             return Ended(None, "stopped", _stopped(bench))
         yield Said(bench.now_s(), f"Refused: {cause}")
@@ -58,7 +63,7 @@ def orderly(bench: Bench, plan: Plan[R]) -> Plan[Ended[R]]:
 
 
 def _stopped(bench: Bench) -> str:
-    return f"stopped by {bench.interlock.stopped_by}"
+    return stopped_words(bench.interlock.stopped_by)
 
 
 def _retreat(bench: Bench) -> Plan[None]:

@@ -23,6 +23,11 @@ class StoppedError(TouchdownError):
     """Thrown into a plan by the engine after STOP: end without any motion."""
 
 
+def stopped_words(who: str) -> str:
+    """Say who stopped a run; ``who`` is empty where a reset came before anybody could ask."""
+    return f"stopped by {who}" if who else "stopped"
+
+
 @dataclass(frozen=True, slots=True)
 class Waiting:
     """The plan goes on when ``until()`` is true; after ``timeout_s`` it fails with a fault."""

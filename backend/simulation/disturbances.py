@@ -1,11 +1,13 @@
 """Faults on demand: what goes wrong on the simulated bench, when, and for how long.
 
 Written as ``device:kind@start`` or ``device:kind@start+length`` in seconds of the bench clock, for
-example ``tactile_right:stop@2.5+1.0``.
+example ``tactile_right:stop@2.5+1.0``. A sensor that slows down needs the rate as well, in Hz:
+``force_torque:slow=300@30+5``.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -13,29 +15,35 @@ from dataclasses import dataclass
 from backend.core.faults import InputError
 
 KINDS: dict[str, tuple[str, ...]] = {
-    "tactile_left": ("freeze", "stop", "dark", "flicker"),
-    "tactile_right": ("freeze", "stop", "dark", "flicker"),
-    "force_torque": ("nan", "stop", "jump"),
+    "tactile_left": ("freeze", "stop", "slow", "dark", "flicker"),
+    "tactile_right": ("freeze", "stop", "slow", "dark", "flicker"),
+    "force_torque": ("nan", "stop", "slow", "jump"),
     "arm": ("stall", "silent"),
-    "gripper": ("stall",),
+    "gripper": ("stall", "silent"),
 }
-"""freeze: the same picture for ever; stop: nothing arrives; dark: the light fails; flicker: the
-brightness swings by 25 %; nan: samples are not numbers; jump: +50 N on Fz; stall: commanded but not
-moving; silent: no positions arrive."""
+"""freeze: the same picture for ever; stop: nothing arrives; slow: so many samples a second at most;
+dark: the light fails; flicker: the brightness swings by 25 %; nan: samples are not numbers; jump:
++50 N on Fz; stall: commanded but not moving; silent: no positions or widths arrive."""
 
 _FORM = re.compile(
-    r"(?P<device>[a-z_]+):(?P<kind>[a-z]+)@(?P<start>\d+(\.\d+)?)(\+(?P<length>\d+(\.\d+)?))?"
+    r"(?P<device>[a-z_]+):(?P<kind>[a-z]+)(=(?P<rate>\d+(\.\d+)?))?@(?P<start>\d+(\.\d+)?)(\+(?P<length>\d+(\.\d+)?))?"
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """One fault; ``length_s`` infinite if it does not end."""
+    """One fault; ``length_s`` infinite if it does not end, ``rate_hz`` of one that is slow."""
 
     device: str
     kind: str
     start_s: float
     length_s: float = float("inf")
+    rate_hz: float | None = None
+
+    def holds(self, device: str, kind: str, t_s: float) -> bool:
+        """Return whether this is the fault ``kind`` of ``device``, and on at ``t_s``."""
+        meant = self.device == device and self.kind == kind
+        return meant and self.start_s <= t_s < self.start_s + self.length_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +56,26 @@ class Script:
         """Return whether ``device`` suffers from ``kind`` at ``t_s``."""
         # Asked eight times a cycle, and almost always there is none.
         return bool(self.disturbances) and any(
-            d.device == device and d.kind == kind and d.start_s <= t_s < d.start_s + d.length_s
-            for d in self.disturbances
+            d.holds(device, kind, t_s) for d in self.disturbances
         )
+
+    def rate_hz(self, device: str, t_s: float) -> float | None:
+        """Return how fast ``device`` delivers at most at ``t_s``, None if it is not slowed."""
+        return next((d.rate_hz for d in self.disturbances if d.holds(device, "slow", t_s)), None)
+
+
+class Thinned:
+    """Takes so many samples a second of those that come: the first of each period."""
+
+    def __init__(self) -> None:
+        self._period: int | None = None
+
+    def takes(self, t_s: float, rate_hz: float) -> bool:
+        """Return whether the sample stamped ``t_s`` is one of ``rate_hz`` a second."""
+        # A stamp on the border of two periods belongs to the later one.
+        period = math.floor(t_s * rate_hz + 1e-6)
+        taken, self._period = period != self._period, period
+        return taken
 
 
 def parse_disturbance(text: str) -> Disturbance:
@@ -60,7 +85,7 @@ def parse_disturbance(text: str) -> Disturbance:
         raise InputError(
             f"'{text}' is not a disturbance.",
             text,
-            "Write device:kind@seconds or device:kind@seconds+seconds.",
+            "Write device:kind@seconds or device:kind@seconds+seconds; device:slow=rate@seconds.",
         )
     device, kind = match["device"], match["kind"]
     if device not in KINDS:
@@ -69,10 +94,16 @@ def parse_disturbance(text: str) -> Disturbance:
         raise InputError(
             f"'{device}' has no fault '{kind}'.", text, f"Use one of {', '.join(KINDS[device])}."
         )
+    rate_hz = None if match["rate"] is None else float(match["rate"])
+    if (kind == "slow") != bool(rate_hz):
+        raise InputError(
+            f"'{text}' needs a rate above 0." if kind == "slow" else f"'{kind}' takes no rate.",
+            text,
+            f"Write {device}:slow=10@3 for ten samples a second; other faults without a number.",
+        )
     length = match["length"]
-    return Disturbance(
-        device, kind, float(match["start"]), float("inf") if length is None else float(length)
-    )
+    length_s = float("inf") if length is None else float(length)
+    return Disturbance(device, kind, float(match["start"]), length_s, rate_hz)
 
 
 def parse_script(texts: Iterable[str]) -> Script:

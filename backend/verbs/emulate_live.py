@@ -1,4 +1,7 @@
-"""Faults by keyboard while an emulated device serves: ``[device] kind [seconds]``, or ``clear``."""
+"""Faults by keyboard while an emulated device serves: ``[device] kind [seconds]``, or ``clear``.
+
+A sensor that slows down needs its rate: ``slow=300 5`` for 300 samples a second.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from typing import TextIO
 from backend.emulators.front import Front
 
 CLEAR = "clear"
-USAGE = "Type a fault and Enter: [device] kind [seconds]; 'clear' ends all faults."
+USAGE = "Type a fault and Enter: [device] kind [seconds], slow=Hz; 'clear' ends all faults."
 
 
 class TypedFaults:
@@ -55,7 +58,8 @@ class TypedFaults:
         kind, *rest = words[1:] if device else words
         try:
             for_s = float(rest[0]) if rest else None
-            struck.inject(kind, for_s)
+            kind, _, rate = kind.partition("=")
+            struck.inject(kind, for_s, **({"hz": float(rate)} if rate else {}))
         except ValueError:
             return f"'{line.strip()}' is no fault of {', '.join(named)}. {USAGE}"
         until = "until 'clear'" if for_s is None else f"for {for_s:g} s"

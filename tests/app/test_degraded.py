@@ -1,10 +1,12 @@
 """A sensor that is late or slow: the pill names it, and nothing new begins on it."""
 
+import re
 from dataclasses import replace
 
 import pytest
 
 from app.activity import LASTING_S, why_no_run
+from app.chips import ChipsPresenter
 from app.pill import pill_of
 from backend.assembly import simulated_session
 from backend.core.faults import RefusedError
@@ -12,6 +14,8 @@ from backend.devices.degraded import Degraded
 from backend.runs.requests import ProbeRequest, RunState, SceneChoice
 from tests.app.conftest import settle
 from tests.backend.brisk import brisk_bench, brisk_method
+from widgets.theme import Theme
+from widgets.top_bar import TopBar
 
 
 def test_the_pill_names_the_sensor_and_since_when(live, bench):
@@ -73,6 +77,33 @@ def test_a_silent_sensor_refuses_a_probe_is_degraded_then_a_fault():
         if word not in words[-1:]:
             words.append(word)
     assert words == ["READY", "DEGRADED", "FAULT"]
+    session.close()
+
+
+def test_a_sensor_that_slows_down_is_yellow_on_the_pill_and_on_its_chip_alone(qtbot):
+    faults = ("force_torque:slow=300@1.6+2.0", "tactile_left:slow=5@1.6+2.0")
+    session = simulated_session(brisk_bench("quiet", faults=faults), method=brisk_method())
+    session.prepare(SceneChoice("pot", ("short",)))
+    bar = TopBar(Theme(), lambda: None)
+    qtbot.addWidget(bar)
+    chips = ChipsPresenter(session, bar, session.clock_s)
+
+    def look(until_s):
+        while session.clock_s() < until_s:
+            session.advance()
+            chips.draw()
+        shown = {name: bar.chips[name].value for name in session.devices}
+        return pill_of(session), {n: v.detail for n, v in shown.items() if v.state != "ready"}
+
+    assert look(1.6)[1] == {}
+    pill, unwell = look(3.5)
+    assert (pill.word, pill.colour) == ("DEGRADED", "yellow")
+    assert re.fullmatch(r"F/T slow \d s \+1", pill.note)
+    assert set(unwell) == {"force_torque", "tactile_left"}
+    assert unwell["force_torque"].startswith("slow 300 Hz")
+    assert unwell["tactile_left"].startswith("slow 5 Hz")
+    pill, unwell = look(6.0)
+    assert (pill.word, unwell) == ("READY", {})
     session.close()
 
 

@@ -116,6 +116,7 @@ class ForceTorqueReader:
             "kind": identity.model if identity else self._settings.driver,
             "number": identity.serial if identity else "",
             "condition": self.condition,
+            "usual_hz": 1.0 / self._readout.period_s,
             "lost": self._readout.lost,
             "resynchronised": self._resynchronised,
             "rated_n": float(rated[2]),

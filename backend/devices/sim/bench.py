@@ -17,7 +17,7 @@ from backend.devices.sim.arm import SimArm
 from backend.devices.sim.force_torque import SimForceTorque
 from backend.devices.sim.gripper import SimGripper
 from backend.devices.sim.tactile import SimTactile
-from backend.simulation.disturbances import Script
+from backend.simulation.disturbances import Script, Thinned
 from backend.simulation.scene import Scene
 from backend.simulation.scene_camera import picture
 from backend.simulation.scoring import Truth
@@ -71,7 +71,8 @@ class SimulatedBench:
         now_s = self.clock.now_s
         self.arm = SimArm(self._world, streams.poses, streams.commands, now_s)
         self.gripper = SimGripper(self._world, now_s)
-        self.force_torque = SimForceTorque(streams.samples, now_s)
+        self._thinned = Thinned()
+        self.force_torque = SimForceTorque(streams.samples, now_s, scene.settings.wrist.rate_hz)
         self.tactile: Mapping[Finger, SimTactile] = {
             finger: SimTactile(finger, streams.frames[finger], now_s, self._script)
             for finger in FINGERS
@@ -124,23 +125,27 @@ class SimulatedBench:
     def _deliver(self, sensed: Sensed) -> None:
         t_s = sensed.end_us * 1e-6
         self.arm.deliver(t_s, sensed.pose_mm, silent=self._script.active("arm", "silent", t_s))
-        self.gripper.deliver(t_s)
-        wrench = self._disturbed(sensed, t_s)
-        if wrench is not None and self.force_torque.deliver(sensed.t_s, wrench):
-            self._world.hear(sensed.t_s, wrench[:, 2])
+        self.gripper.deliver(t_s, silent=self._script.active("gripper", "silent", t_s))
+        times_s, wrench = self._disturbed(sensed, t_s)
+        if self.force_torque.deliver(times_s, wrench):
+            self._world.hear(times_s, wrench[:, 2])
         else:
             self._world.hear(np.empty(0), np.empty(0))
         for finger in FINGERS:
             self.tactile[finger].deliver(sensed.shots[finger])
 
-    def _disturbed(self, sensed: Sensed, t_s: float) -> FloatArray | None:
-        """Return the wrist samples as the sensor would deliver them, None if it is silent."""
-        if self._script.active("force_torque", "stop", t_s):
-            return None
-        wrench = sensed.wrench
-        if self._script.active("force_torque", "nan", t_s):
-            return np.full_like(wrench, np.nan)
-        if self._script.active("force_torque", "jump", t_s):
+    def _disturbed(self, sensed: Sensed, t_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return times and values of the wrist samples as the sensor would deliver them."""
+        script, name = self._script, "force_torque"
+        if script.active(name, "stop", t_s):
+            return sensed.t_s[:0], sensed.wrench[:0]
+        times_s, wrench = sensed.t_s, sensed.wrench
+        if (rate_hz := script.rate_hz(name, t_s)) is not None:
+            taken = [self._thinned.takes(at_s, rate_hz) for at_s in times_s.tolist()]
+            times_s, wrench = times_s[taken], wrench[taken]
+        if script.active(name, "nan", t_s):
+            return times_s, np.full_like(wrench, np.nan)
+        if script.active(name, "jump", t_s):
             wrench = wrench.copy()
             wrench[:, 2] += JUMP_N
-        return wrench
+        return times_s, wrench

@@ -15,10 +15,12 @@ RATED = (200.0, 200.0, 200.0, 4.0, 4.0, 4.0)
 
 
 class SimForceTorque(SimDevice):
-    """Untared samples at 1 kHz, delivered in blocks of one cycle."""
+    """Untared samples, ``usual_hz`` a second, delivered in blocks of one cycle."""
 
-    def __init__(self, samples: SampleStream, now_s: Callable[[], float]) -> None:
-        self._samples = samples
+    def __init__(
+        self, samples: SampleStream, now_s: Callable[[], float], usual_hz: float = 1000.0
+    ) -> None:
+        self._samples, self._usual_hz = samples, usual_hz
         super().__init__(Connection("force_torque", "simulated wrist sensor", now_s))
 
     @property
@@ -32,12 +34,13 @@ class SimForceTorque(SimDevice):
         return np.array(RATED)
 
     def describe(self) -> Mapping[str, str | float]:
-        """Return the rated force and torque."""
-        return {"kind": "simulated", "rated_n": RATED[0], "rated_nm": RATED[3]}
+        """Return the rated force and torque, and the usual rate."""
+        rated = {"rated_n": RATED[0], "rated_nm": RATED[3]}
+        return {"kind": "simulated", "usual_hz": self._usual_hz, **rated}
 
     def deliver(self, t_s: FloatArray, values: FloatArray) -> bool:
-        """Put one block into the stream; return whether it was delivered."""
-        if not self._connection.ready:
+        """Put one block into the stream; return whether anything was delivered."""
+        if not (self._connection.ready and len(t_s)):
             return False
         self._samples.put(t_s, values)
         self._connection.arrived(float(t_s[-1]), len(t_s))

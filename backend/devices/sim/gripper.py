@@ -71,11 +71,14 @@ class SimGripper(SimDevice):
                 self._motion.end(stopped_fault(self.name))
                 self._motion = None
 
-    def deliver(self, t_s: float) -> None:
-        """Measure width and force of one cycle and see whether the motion ended."""
+    def deliver(self, t_s: float, *, silent: bool = False) -> None:
+        """Measure width and force of one cycle and see whether the motion ended.
+
+        ``silent``: nothing of it is told; the jaws go on.
+        """
         jaws = self._world.jaws
         width, force = self._rng.standard_normal(2).tolist()
-        if self._connection.ready:
+        if self._connection.ready and not silent:
             force_n = jaws.force_n + FORCE_NOISE_N * force if jaws.force_n > 0.0 else 0.0
             self._status = GripStatus(jaws.width_mm + WIDTH_NOISE_MM * width, force_n, jaws.holding)
             self._connection.arrived(t_s, 1)

@@ -11,7 +11,7 @@ import numpy as np
 from backend.core.flow import Finger, ImageArray, TactileFrame
 from backend.core.stream import Stream
 from backend.devices.sim.connection import Connection, SimDevice
-from backend.simulation.disturbances import Script
+from backend.simulation.disturbances import Script, Thinned
 from backend.simulation.finger_camera import Shot
 
 FLICKER = 0.25
@@ -30,6 +30,7 @@ class SimTactile(SimDevice):
     ) -> None:
         self._finger, self._frames, self._script = finger, frames, script
         super().__init__(Connection(f"tactile_{finger}", "simulated tactile finger", now_s))
+        self._thinned = Thinned()
         self._newest: int | None = None
         self._frozen: ImageArray | None = None
 
@@ -59,7 +60,10 @@ class SimTactile(SimDevice):
             return
         for shot in shots:
             t_s = shot.t_us * 1e-6
+            rate_hz = self._script.rate_hz(self.name, t_s)
             if self._script.active(self.name, "stop", t_s):
+                continue
+            if rate_hz is not None and not self._thinned.takes(t_s, rate_hz):
                 continue
             lost = 0 if self._newest is None else shot.sequence - self._newest - 1
             self._newest = shot.sequence

@@ -9,6 +9,7 @@ from backend.core.flow import FINGERS, TactileFrame
 from backend.core.stream import SampleStream, Stream
 from backend.devices.degraded import Degraded, Rate
 from backend.devices.interlock import Interlock
+from backend.devices.protocols import GripStatus, Health
 from backend.devices.supervision import GRACE_S, Supervision
 
 IMAGES = np.random.default_rng(5).integers(0, 2, (8, 240, 320, 3), dtype=np.uint8)
@@ -174,3 +175,78 @@ def test_less_than_half_of_the_usual_rate_is_degraded_until_it_is_back(
     assert not slow or 2.0 <= rate.slow_since_s <= 4.0
     deliver(2.2, 1000.0)
     assert rate.slow_since_s is None
+
+
+def test_a_sensor_that_is_slow_from_its_start_is_known_by_the_rate_that_it_tells() -> None:
+    class Wrist:
+        def describe(self) -> dict[str, str | float]:
+            return {"kind": "wrist", "usual_hz": 2500.0}
+
+    bench = Watched()
+    bench.supervision.begin(0.0, wrist=Wrist())  # type: ignore[arg-type]
+    bench.run(0.9)
+    assert bench.supervision.degraded == ()
+    bench.run(0.3)
+    (slow,) = bench.supervision.degraded
+    assert (slow.device, slow.how) == ("force_torque", "slow")
+    assert bench.interlock.degraded.startswith("The wrist sensor has delivered less than half")
+    assert not bench.interlock.latched
+    bench.supervision.begin(bench.now_s)
+    bench.run(1.5)
+    assert bench.supervision.degraded == (), "it tells no rate, and never had another"
+    assert bench.interlock.degraded == ""
+
+
+def test_a_camera_below_half_of_its_pictures_is_slow() -> None:
+    bench = Watched()
+    bench.run(2.5)
+    for _ in range(25):
+        bench.run(0.08)
+        bench.run(0.04, silent="right")
+    assert [(one.device, one.how) for one in bench.supervision.degraded] == []
+    for _ in range(25):
+        bench.run(0.04)
+        bench.run(0.08, silent="right")
+    assert [(one.device, one.how) for one in bench.supervision.degraded] == [
+        ("tactile_right", "slow")
+    ]
+    bench.run(2.1)
+    assert bench.supervision.degraded == ()
+
+
+class Jaws:
+    """A gripper that was last heard at ``heard_s``."""
+
+    heard_s, holding = 0.0, True
+
+    def __init__(self, bench: Watched) -> None:
+        self._bench = bench
+
+    def status(self) -> GripStatus:
+        return GripStatus(20.0, 10.0, self.holding)
+
+    @property
+    def health(self) -> Health:
+        return Health(20.0, self._bench.now_s - self.heard_s, 9, 0)
+
+
+def test_a_gripper_that_holds_a_piece_is_degraded_after_300_ms_and_a_fault_after_1_s() -> None:
+    bench = Watched()
+    jaws = Jaws(bench)
+    bench.supervision.begin(0.0, jaws)  # type: ignore[arg-type]
+    bench.run(2.0)
+    assert bench.codes() == [("GRIP-STALE", "gripper")]
+    bench.interlock.reset()
+    jaws.heard_s = bench.now_s
+    bench.run(0.28)
+    assert bench.supervision.degraded == ()
+    bench.run(0.06)
+    assert bench.supervision.degraded == (Degraded("gripper", "silent", pytest.approx(2.0)),)
+    bench.run(0.64)
+    assert not bench.interlock.latched
+    bench.run(0.06)
+    assert bench.codes() == [("GRIP-STALE", "gripper")]
+    bench.interlock.reset()
+    jaws.holding = False
+    bench.run(0.1)
+    assert (bench.supervision.degraded, bench.codes()) == ((), []), "empty jaws let nothing fall"

@@ -11,6 +11,7 @@ from backend.emulators.leptrino import EmulatedLeptrino
 from backend.emulators.loads import suffering
 from backend.emulators.netft import EmulatedCalibration, EmulatedNetFt, EmulatedPage
 from backend.emulators.optoforce import EmulatedOptoforce
+from backend.emulators.serving import SERIAL, Choice, emulate
 from backend.wire import bota, leptrino, net_ft, optoforce, robotiq_ft300
 from backend.wire.bota import Frame
 from backend.wire.leptrino import Sample, Status
@@ -124,3 +125,29 @@ def test_a_frozen_load_stands_and_a_saturated_one_is_beyond_all_ranges():
     assert felt(3.5) == (3.5,) * 6
     faults.inject(4.0, "saturate")
     assert min(felt(5.0)) > 1e4
+
+
+@pytest.mark.parametrize("kind", [*SERIAL, "netft", "monitor"])
+def test_every_sensor_that_is_emulated_can_slow_down(kind):
+    emulation = emulate(Choice(kind))
+    try:
+        (faults,) = {front.faults for front in emulation.fronts if front.faults.device}
+        assert emulation.fronts[0]._device.pace.faults is faults
+    finally:
+        emulation.close()
+
+
+def test_a_slow_sensor_takes_so_many_samples_and_numbers_them_on():
+    faults, sensor = Faults("force_torque"), EmulatedNetFt(still)
+    faults.begin(0.0)
+    sensor.pace.faults = faults
+    sensor.receive(0.0, data("rdt-start"))
+    faults.inject(1.0, "slow", 2.0, hz=300.0)
+
+    def numbers(seconds, since_s):
+        records = [r for k in range(10 * seconds) for r in sensor.due(since_s + 0.1 * (k + 1))]
+        return [net_ft.decode_records(record)[0].rdt_sequence for record in records]
+
+    before, slow, after = numbers(1, 0.0), numbers(2, 1.0), numbers(1, 3.0)
+    assert [len(before), len(slow), len(after)] == pytest.approx([1000, 600, 1000], abs=2)
+    assert all(b - a == 1 for a, b in pairwise(before + slow + after))

@@ -12,7 +12,14 @@ from backend.core.faults import Fault, InputError, RefusedError
 from backend.core.hub import Hub
 from backend.devices.interlock import Interlock
 from backend.runs.engine import Engine
-from backend.runs.plan import CancelledError, Checkpoint, Plan, StoppedError, Waiting
+from backend.runs.plan import (
+    CancelledError,
+    Checkpoint,
+    Plan,
+    StoppedError,
+    Waiting,
+    stopped_words,
+)
 from backend.runs.requests import RunState
 
 
@@ -261,3 +268,36 @@ def test_a_script_whose_sensor_stays_degraded_is_cancelled() -> None:
     rig = Unwell()
     assert rig.engine.run(two_steps(rig), rig.advance) == "cancelled"
     assert rig.clock.now_s() < 3.0
+
+
+def told_to_its_end(rig: Rig) -> Plan[str]:
+    yield started()
+    try:
+        while True:
+            yield Checkpoint()
+            yield waits(rig.clock.now_s, 0.1)
+    except StoppedError as cause:
+        yield Said(rig.clock.now_s(), str(cause))
+        yield Said(rig.clock.now_s(), "trial told")
+    return "stopped"
+
+
+@pytest.mark.parametrize("paused", [False, True])
+def test_a_stopped_run_tells_how_its_trial_ended_also_out_of_a_pause(
+    rig: Rig, paused: bool
+) -> None:
+    rig.engine.begin(told_to_its_end(rig))
+    rig.tick()
+    if paused:
+        rig.engine.pause()
+        rig.tick(20)
+        assert rig.engine.status().state is RunState.PAUSED
+    rig.interlock.stop("operator")
+    rig.tick(2)
+    assert rig.texts() == ["stopped by operator", "trial told"]
+    assert rig.engine.status().state is RunState.IDLE
+
+
+def test_a_stop_that_was_reset_before_anybody_asked_names_nobody() -> None:
+    assert stopped_words("F12") == "stopped by F12"
+    assert stopped_words("") == "stopped"

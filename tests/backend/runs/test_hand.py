@@ -350,7 +350,7 @@ def test_room_to_the_edge_of_the_workspace(at, way, room):
 
 
 @pytest.mark.parametrize(
-    ("press_n", "way", "recovering", "reason"),
+    ("press_n", "way", "state", "reason"),
     [
         (0.5, (1.0, 0.0, 0.0), False, None),
         (1.5, (1.0, 0.0, 0.0), False, "DRAGGING"),
@@ -360,15 +360,20 @@ def test_room_to_the_edge_of_the_workspace(at, way, room):
         (-15.1, (0.0, 0.0, 1.0), False, "JOG-FORCE"),
         (2.0, (0.0, 0.0, -1.0), True, "RECOVERY"),
         (2.0, (0.0, 0.0, 1.0), True, None),
+        (0.2, (0.0, 0.0, 1.0), "slow", None),
+        (0.2, (1.0, 0.0, 0.0), "slow", "DEGRADED"),
+        (0.2, (0.0, 0.0, -1.0), "slow", "DEGRADED"),
+        (-0.2, (0.0, 0.0, -1.0), "slow", "DEGRADED"),
         (float("nan"), (0.0, 0.0, 1.0), False, "FT-UNKNOWN"),
     ],
 )
-def test_force_guard(press_n, way, recovering, reason):
+def test_force_guard(press_n, way, state, reason):
+    how = {"recovering": state is True, "degraded": "It is slow." if state == "slow" else ""}
     if reason is None:
-        refuse_forced(press_n, way, LIMITS, recovering=recovering)
+        refuse_forced(press_n, way, LIMITS, **how)
         return
     with pytest.raises(RefusedError) as caught:
-        refuse_forced(press_n, way, LIMITS, recovering=recovering)
+        refuse_forced(press_n, way, LIMITS, **how)
     assert caught.value.reason == reason
     if reason == "JOG-FORCE":
         assert "Fz" in caught.value.detail

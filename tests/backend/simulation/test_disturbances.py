@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from backend.core.faults import InputError
-from backend.simulation.disturbances import Disturbance, parse_disturbance, parse_script
+from backend.simulation.disturbances import (
+    Disturbance,
+    Thinned,
+    parse_disturbance,
+    parse_script,
+)
 
 
 def test_text_is_read():
@@ -25,6 +31,21 @@ def test_active_from_start_to_end_only():
     assert script.active("arm", "stall", 1e6)
 
 
+def test_a_slow_sensor_has_its_rate_and_takes_the_first_sample_of_each_period():
+    script = parse_script(["force_torque:slow=300@1+2"])
+    assert [script.rate_hz("force_torque", t_s) for t_s in (0.9, 1.0, 2.9, 3.0)] == [
+        None,
+        300.0,
+        300.0,
+        None,
+    ]
+    thinned = Thinned()
+    taken = [k for k in range(1000) if thinned.takes(1.0 + 0.001 * k, 300.0)]
+    assert len(taken) == 300
+    assert set(np.diff(taken)) == {3, 4}
+    assert sum(thinned.takes(5.0 + 0.04 * k, 40.0) for k in range(25)) == 25, "it is no faster"
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -38,6 +59,10 @@ def test_active_from_start_to_end_only():
         "camera:freeze@1",
         "gripper:freeze@1",
         "arm:stall@1;arm:stall@2",
+        "force_torque:slow@1",
+        "force_torque:slow=0@1",
+        "force_torque:nan=5@1",
+        "arm:slow=5@1",
     ],
 )
 def test_bad_text_is_one_clear_error(text):

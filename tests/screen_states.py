@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-from backend.core.facts import PhaseEntered, RunFinished, RunStarted
+from backend.core.facts import PhaseEntered, RunFinished, RunStarted, TrialStarted
 from backend.devices.degraded import Degraded
+from backend.runs.engine import Engine
+from backend.runs.plan import CancelledError, Checkpoint, Plan, Waiting
 from backend.runs.requests import RunState
 from tests.screen_panels import Hand
 
@@ -50,3 +52,52 @@ def of_the_pill(stage: Stage) -> Iterator[str]:
     yield "state-degraded"
     bench.degraded = ()
     stage.live(0.0)
+
+
+def of_a_run(stage: Stage) -> Iterator[str]:
+    """Preparing, pausing, paused, cancelling: the real engine by the buttons of Stack."""
+    bench, main = stage.bench, stage.main
+    stand_in = bench.engine, bench.status
+    engine = Engine(bench.hub, bench.interlock, bench.clock_s)
+    bench.engine, bench.status = engine, engine.status
+    main.go("stack")
+    lifted = [False]
+    engine.begin(_run(bench.clock_s, lambda: lifted[0]))
+    stage.live(0.0)
+    yield "state-preparing"
+    engine.tick()
+    stage.live(1.0)
+    main.actions.action("stack.pause").trigger()
+    stage.live(1.0)
+    yield "state-pausing"
+    lifted[0] = True
+    engine.tick()
+    stage.live(0.0)
+    yield "state-paused"
+    lifted[0] = False
+    main.actions.action("stack.pause").trigger()
+    engine.tick()
+    stage.live(1.0)
+    main.workspaces["stack"].page.run.cancel.click()
+    stage.live(1.0)
+    yield "state-cancelling"
+    lifted[0] = True
+    while engine.busy:
+        engine.tick()
+    stage.live(0.0)
+    bench.engine, bench.status = stand_in
+
+
+def _run(now_s: Callable[[], float], lifted: Callable[[], bool]) -> Plan[object]:
+    """A run that presses until it is lifted, and lifts also where it is cancelled."""
+    yield RunStarted(now_s(), "run", "pot", "short", "paper", 7, 3, True, "{}")
+    yield TrialStarted(now_s(), 1, 8, (7.2, 3.1))
+    try:
+        for probe in (1, 2):
+            yield PhaseEntered(now_s(), "press", probe)
+            yield Waiting(lifted, 60.0, "the lift")
+            yield Checkpoint()
+    except CancelledError:
+        yield Waiting(lifted, 60.0, "the lift")
+        yield RunFinished(now_s(), "run", "cancelled", "cancelled by the operator")
+    return None

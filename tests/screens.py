@@ -164,6 +164,7 @@ class Stage:
         yield from screen_panels.reviewed(self, self.folder / "runs")
         yield from screen_panels.trained(self, self.folder.parent / "packs")
         yield from self._stack()
+        yield from screen_states.of_a_run(self)
         yield from screen_panels.attended(self)
         yield from self._faults()
         yield from screen_panels.pauses(self)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from PySide6.QtCore import QSize
+from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import (
     QComboBox,
     QGridLayout,
@@ -21,6 +23,8 @@ from widgets.panel import Panel, label, set_property
 
 MINUS, DEGREE = "\N{MINUS SIGN}", "\N{DEGREE SIGN}"
 JOINTS = 6
+PAD_LINES, PAD_TALL = 8, 1.1
+"""A pad is at most so many lines of text wide, and so much taller than wide, on any screen."""
 MOVES = (
     ("+y", 0, 1), ("-x", 1, 0), ("+x", 1, 2), ("-y", 2, 1), ("+z", 0, 3), ("-z", 2, 3),
 )  # fmt: skip
@@ -88,6 +92,7 @@ class JogPad(Panel):
         """The joint that the arrow keys drive in JOINT."""
         self._ready = self._turns = False
         self._pose, self._note = ElidedLabel(""), label("", "small")
+        self._field = QWidget()
         self._wire()
         self._arrange()
         self.show_turning("")
@@ -183,6 +188,14 @@ class JogPad(Panel):
         at = offered.index(self.frame.currentIndex())
         self.frame.setCurrentIndex(offered[(at + 1) % len(offered)])
 
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Keep the pads nearly square where there is more room than they need."""
+        super().resizeEvent(event)
+        within = self.column.contentsRect().width()
+        side = min(within / 4, PAD_LINES * self.fontMetrics().lineSpacing())
+        most = QSize(round(4 * side), round(3 * PAD_TALL * side))
+        self._field.setMaximumSize(most.expandedTo(self._field.minimumSizeHint()))
+
     # -- inside -----------------------------------------------------------------------------------
 
     def _show_frame(self) -> None:
@@ -235,7 +248,7 @@ class JogPad(Panel):
         top.addWidget(self._pose, 1)
         top.addWidget(self.turn)
         top.addWidget(self.frame)
-        pads = QGridLayout()
+        pads = QGridLayout(self._field)
         pads.setSpacing(4)
         for what, row, column in (*MOVES, *TURNS, *JOINT_PADS):
             pads.addWidget(self.pads[what], row, column)
@@ -244,12 +257,17 @@ class JogPad(Panel):
         for column in range(4):
             pads.setColumnStretch(column, 1)
         pads.setContentsMargins(0, 2, 0, 2)
+        middle = QHBoxLayout()
+        middle.addStretch(1)
+        middle.addWidget(self._field, 1000)
+        middle.addStretch(1)
         self.column.addLayout(top)
-        self.column.addLayout(pads, 1)
+        self.column.addLayout(middle, 1000)
         self.column.addWidget(self.pace)
         self._note.setWordWrap(True)
         self._note.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         self.column.addWidget(self._note)
+        self.column.addStretch(1)
 
 
 class _Pad(HoldButton):

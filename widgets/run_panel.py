@@ -60,12 +60,13 @@ class RunForm:
 
 @dataclass(frozen=True, slots=True)
 class RunButtons:
-    """Which buttons may be pressed, and whether the run is paused."""
+    """Which buttons may be pressed, whether the run is paused and the form may be filled in."""
 
     start: bool
     pause: bool
     cancel: bool
     paused: bool
+    form: bool
     why_not: str = ""
 
 
@@ -109,7 +110,7 @@ class RunPanel(Panel):
             combo.currentIndexChanged.connect(lambda _: self.chosen.emit())
         self._tips()
         self._arrange()
-        self.show_buttons(RunButtons(start=False, pause=False, cancel=False, paused=False))
+        self.show_buttons(RunButtons(False, False, cancel=False, paused=False, form=True))
 
     def _tips(self) -> None:
         for widget, name, tip in (
@@ -233,7 +234,7 @@ class RunPanel(Panel):
         self.cancel.setEnabled(buttons.cancel)
         for field in (self._piece, self._bottom, self._under, self._seed, self._trials,
                       self._strategy, self._mode, *self._origin):  # fmt: skip
-            field.setEnabled(not buttons.cancel and self._piece.count() > 0)
+            field.setEnabled(buttons.form and self._piece.count() > 0)
         self.draw_icons()
 
     def draw_icons(self) -> None:

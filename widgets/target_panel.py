@@ -59,7 +59,7 @@ class TargetButtons:
     """Which buttons may be pressed. ``go_on``: what the last campaign still lacks, "" if nothing.
 
     ``why_not`` is why nothing can be started; ``in_contact``: a lift would help. ``ask``: what the
-    run waits to be confirmed or, with ``answers`` (yes, no), asks.
+    run waits to be confirmed or, with ``answers`` (yes, no), asks. ``form``: it may be filled in.
     """
 
     start: bool
@@ -71,6 +71,7 @@ class TargetButtons:
     in_contact: bool = False
     ask: str = ""
     answers: tuple[str, str] | None = None
+    form: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -308,7 +309,7 @@ class TargetPanel(Panel):
         self.pause.setToolTip("Pause at the next safe place, arm lifted (P)")
         self.end.setEnabled(buttons.end)
         for field in self._fields:
-            field.setEnabled(not buttons.end)
+            field.setEnabled(buttons.form)
         self.draw_icons()
 
     def ask_person(self) -> None:

@@ -46,6 +46,7 @@ def buttons(link: Link | None, now: Standing) -> TargetButtons:
         in_contact=not active and _in_contact(link),
         ask=_question(now) if active else "",
         answers=ANSWERS if active and isinstance(now.asked, MountingAwaited) else None,
+        form=not (now.mine and active),
     )
 
 

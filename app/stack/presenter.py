@@ -28,6 +28,12 @@ from widgets.run_panel import RunButtons, RunForm
 from widgets.score_panel import WORDS, Score
 
 PRESSING = frozenset({"press", "hold"})
+HELD_UP = {
+    RunState.PAUSING: ("Pausing", "The arm lifts, then stands until you resume."),
+    RunState.PAUSED: ("Paused", "The arm is lifted. Resume goes on."),
+    RunState.CANCELLING: ("Cancelling", "The arm lifts; the grip is kept."),
+}
+"""What stands above the map of a trial without an estimate while its run does not go on."""
 RELEASED = frozenset({Outcome.PLACED, Outcome.FELL, Outcome.KNOCKED_OVER})
 
 
@@ -43,6 +49,7 @@ class StackPresenter:
         self._chosen: int | None = None
         self._scenes: dict[tuple[int, int, bool], tuple[ProbeLook, BeliefScene]] = {}
         self._buttons: RunButtons | None = None
+        self._state = RunState.IDLE
         self._asking = ""
 
     # -- orders -----------------------------------------------------------------------------------
@@ -118,6 +125,9 @@ class StackPresenter:
         status = self._link.status()
         self._draw_buttons(status)
         self._draw_question(status)
+        if status.state is not self._state:
+            self._state = status.state
+            self._shown_versions[0] = -1
         for _ in self._pieces:
             piece = self._next_piece
             self._next_piece = (piece + 1) % len(self._pieces)
@@ -135,6 +145,7 @@ class StackPresenter:
             pause=status.state in (RunState.RUNNING, RunState.PAUSING, RunState.PAUSED),
             cancel=active and status.state is not RunState.CANCELLING,
             paused=status.state in (RunState.PAUSED, RunState.PAUSING),
+            form=not active,
             why_not=why,
         )
         if buttons != self._buttons:
@@ -177,6 +188,9 @@ class StackPresenter:
         elif self._link.status().asks:
             asks = f"{self._link.status().asks.capitalize()}."
             text = DecisionText("Your turn", "", "", asks)
+        elif trial is not None and self._state in HELD_UP:
+            title, follows = HELD_UP[self._state]
+            text = DecisionText(title, "", "", follows)
         elif trial is not None:
             pressed = trial.phase in PRESSING
             follows = "The estimate follows the press." if pressed else "A press follows."

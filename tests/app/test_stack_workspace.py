@@ -69,6 +69,24 @@ def test_buttons_follow_the_state(live, bench):
     assert bench.engine.orders == ["pause", "resume", "cancel"]
 
 
+def test_a_run_that_is_held_up_before_its_first_estimate_says_so_and_keeps_its_form(live, bench):
+    page = live.workspaces["stack"].page
+    bench.tell_start()
+    for state, title in (
+        (RunState.RUNNING, "Probing"),
+        (RunState.PAUSING, "Pausing"),
+        (RunState.PAUSED, "Paused"),
+        (RunState.CANCELLING, "Cancelling"),
+    ):
+        bench.set_state(state)
+        settle(live)
+        assert page.decision._verdict.text() == title
+        assert not page.run._piece.isEnabled()
+    bench.set_state(RunState.IDLE)
+    settle(live)
+    assert page.run._piece.isEnabled()
+
+
 def test_decision_and_map_show_the_newest_probe(live, bench):
     told(live, bench)
     page = live.workspaces["stack"].page

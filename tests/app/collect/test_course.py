@@ -96,6 +96,10 @@ def test_progress_pause_and_end(page):
     settle(page.main)
     assert target.pause.text() == "Resume"
     target.end.click()
+    page.bench.set_state(RunState.CANCELLING)
+    settle(page.main)
+    assert not any(field.isEnabled() for field in target._fields)
+    page.bench.set_state(RunState.IDLE)
     page.tell(RunFinished(2.0, "run", "cancelled", "cancelled by the operator"))
     assert page.bench.engine.orders == ["pause", "cancel"]
     assert target.start.isEnabled()

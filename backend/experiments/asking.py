@@ -14,7 +14,7 @@ from backend.config.bench_facts import bench_sha256
 from backend.config.load import parse
 from backend.config.method import StackSettings
 from backend.config.simulation import SimulationSettings
-from backend.experiments.beyond import least_probes
+from backend.experiments.beyond import least_probes, network_named
 from backend.experiments.closed_loop import stack_in_lockstep
 from backend.experiments.given_models import load_model
 from backend.experiments.models import batch_model
@@ -26,7 +26,6 @@ from backend.jobs.running import Workplace
 from backend.jobs.spec import JobSpec
 from backend.learning.device import one_thread
 from backend.objects.catalogue import load_catalogue
-from backend.placement.fused import network_of
 from backend.sensing.episode import EpisodeLimits
 from backend.simulation.elsewhere.bench import Elsewhere
 from backend.simulation.lockstep import Lockstep
@@ -77,9 +76,7 @@ def trials_jobs(
     place: Place, pair: tuple[str, str], strategy: tuple[str, str], trials: int, code: str
 ) -> list[JobSpec]:
     """Return the jobs of ``trials`` trials; ``strategy``: its name, and the job of its model."""
-    network = {}
-    if strategy[0] == "fused":
-        network["fused_sha256"] = network_of(StackSettings().fused).card.weights_sha256
+    network = network_named(strategy[0], StackSettings())
     return [
         JobSpec(
             "asked-trials",

@@ -164,12 +164,18 @@ class Beyond:
             "strategy": strategy,
             "trials": min(_chunk(bottom), self.trials - first),
         }
-        if strategy == "fused":
-            params["fused_sha256"] = network_of(self.method.fused).card.weights_sha256
+        params |= network_named(strategy, self.method)
         if bottom in TOWERS:
             params["entry_sigma_mm"] = self.entry_sigma_mm
         seed = STACKING_SEED + CELL_SEEDS * cell + first
         return JobSpec("beyond", params, seed, (source,) if source else (), self.code)
+
+
+def network_named(strategy: str, method: StackSettings) -> Json:
+    """Return what a job of ``strategy`` says of its network: another one makes another job."""
+    if strategy != "fused":
+        return {}
+    return {"fused_sha256": network_of(method.fused).card.weights_sha256}
 
 
 def _chunk(bottom: str) -> int:

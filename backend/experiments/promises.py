@@ -18,7 +18,14 @@ from backend.config.load import parse
 from backend.config.method import StackSettings
 from backend.config.simulation import SimulationSettings
 from backend.core.flow import BeliefMap, ContactPatch, FloatArray
-from backend.experiments.beyond import CEILINGS, SINGLE, knowing, no_model, traces_of
+from backend.experiments.beyond import (
+    CEILINGS,
+    SINGLE,
+    knowing,
+    network_named,
+    no_model,
+    traces_of,
+)
 from backend.experiments.by_seed import group_lines
 from backend.experiments.calibration import reliability
 from backend.experiments.closed_loop import Model
@@ -121,6 +128,7 @@ class Promises:
             "bottom": bottom,
             "strategy": strategy,
             "groups": min(CHUNK, self.groups - first),
+            **network_named(strategy, self.method),
         }
         cell = 10 * PIECES.index(piece) + SINGLE.index(bottom)
         seed = STATIC_SEED + CELL_SEEDS * cell + first

@@ -4,12 +4,14 @@ cell of each kind from end to end.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from backend.config.method import FusedSettings, StackSettings
 from backend.config.simulation import SimulationSettings, load_simulation
 from backend.experiments.beyond import FORMAT, Beyond, beyond, least_probes
 from backend.experiments.beyond_page import beyond_page
@@ -23,6 +25,7 @@ from backend.experiments.writing import compared_beside, write_beyond
 from backend.jobs.running import run_job
 from backend.jobs.spec import JobSpec
 from backend.jobs.store import SPEC, JobStore
+from backend.learning.fused.checkpoint import save_fused, shipped_fused
 from backend.objects.catalogue import load_catalogue
 from backend.simulation.scene import Scene
 from backend.simulation.scoring import margin_mm
@@ -115,6 +118,22 @@ def test_towers_have_the_seeds_of_table_3(bench_v1: SimulationSettings) -> None:
     # The ceiling knows nothing of towers.
     assert found.keys() == {("short+long", "paper"), ("long", "paper"), ("long", "ceiling")}
     assert found["short+long", "paper"] == table.seed
+
+
+def test_answers_of_another_network_are_other_jobs(
+    bench_v1: SimulationSettings, tmp_path: Path
+) -> None:
+    ships, other = shipped_fused(), tmp_path / "other.safetensors"
+    save_fused(other, {**ships.arrays, "mean": ships.arrays["mean"] + 1.0}, ships.card)
+    asks = StackSettings(fused=FusedSettings(weights=str(other)))
+    for kind in (Promises, Beyond):
+        plan = kind(bench_v1, "1", {"pot": "m"}, ("pot",), ("long",), ("paper", "fused"), 2)
+        paper, fused = plan.jobs()
+        _, theirs = replace(plan, method=asks).jobs()
+        assert theirs.id != fused.id
+        assert fused.params["fused_sha256"] == ships.card.weights_sha256
+        assert theirs.params["fused_sha256"] not in paper.params.values()
+        assert "fused_sha256" not in paper.params
 
 
 def test_the_least_probes_on_a_tower_are_those_to_where_all_of_it_holds(

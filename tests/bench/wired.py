@@ -6,12 +6,20 @@ again. A trial that a link fault ended is tried again.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from backend.assembly import SimulatedBenchChoice, simulated_session
-from backend.core.facts import EpisodeRecorded, Fact, FaultRaised, PhaseEntered, TrialFinished
+from backend.core.facts import (
+    EpisodeRecorded,
+    Fact,
+    FaultRaised,
+    Paused,
+    PhaseEntered,
+    TrialFinished,
+)
 from backend.core.faults import FaultError
 from backend.core.flow import TACTILE_CHANNELS, Episode, FloatArray
 from backend.emulated import EmulatedBench
@@ -32,6 +40,7 @@ class Run:
     ends: list[TrialFinished] = field(default_factory=list)
     episodes: list[Episode] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
+    """Also of a sensor for which the run paused: with nobody to resume it, that ended the try."""
     presses: int = 0
     """Until the first episode; a press that was void and is made again has moved the piece."""
 
@@ -42,7 +51,7 @@ class Run:
             self.episodes.append(fact.episode)
         elif isinstance(fact, PhaseEntered):
             self.presses += fact.phase == "press" and not self.episodes
-        elif isinstance(fact, FaultRaised):
+        elif isinstance(fact, FaultRaised | Paused):
             self.faults.append(fact.fault.code)
 
 
@@ -71,7 +80,8 @@ def held(episode: Episode) -> tuple[FloatArray, FloatArray]:
 
 
 def compare(trials: int = TRIALS) -> list[Figure]:
-    alike, voided, wrench_off, marker_off, presses = 0, 0, [], [], []
+    alike, wrench_off, marker_off, presses = 0, [], [], []
+    ended: Counter[str] = Counter()
     simulated = simulated_session(SimulatedBenchChoice(), keep=Keep(None))
     with EmulatedBench(SimulatedBenchChoice(), keep=Keep(None)) as bench:
         for seed in range(FIRST_SEED, FIRST_SEED + trials):
@@ -80,7 +90,7 @@ def compare(trials: int = TRIALS) -> list[Figure]:
                 found = tried(bench.session, seed)
                 if not found.faults:
                     break
-                voided += 1
+                ended[found.faults[0]] += 1
                 bench.session.reset()
             alike += bool(found.ends) and wanted.ends[-1].outcome is found.ends[-1].outcome
             if found.episodes and wanted.episodes:
@@ -90,7 +100,8 @@ def compare(trials: int = TRIALS) -> list[Figure]:
                 marker_off.append(float(np.sqrt(np.mean((other_px - px) ** 2))))
                 presses.append(found.presses - wanted.presses)
     simulated.close()
-    note = f"{voided} tries ended by a link fault and repeated"
+    note = f"{ended.total()} tries ended by a link fault and repeated"
+    note += "".join(f"; {count} {code}" for code, count in ended.most_common())
     if not wrench_off:
         return [
             Figure("emulated: outcomes as simulated", 0, f"of {trials}", "", ok=False, note=note)

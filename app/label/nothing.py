@@ -13,7 +13,10 @@ from widgets.panel import label
 
 @dataclass(frozen=True, slots=True)
 class Nothing:
-    """Why nothing is shown. ``button`` says what ``command`` (its name) does about it."""
+    """Why nothing is shown. ``button`` says what ``command`` (its name) does about it.
+
+    Without a button there is only to wait.
+    """
 
     title: str
     why: str
@@ -35,6 +38,7 @@ NO_PROBES = Nothing(
     "Collect probes (F2)",
     "collect",
 )
+LOADING = Nothing("Loading the episode", "Its pictures and forces are being read.", "", "")
 UNREADABLE = Nothing(
     "This episode cannot be read",
     "The line below says why; its label stays as it is.",
@@ -87,5 +91,6 @@ class NothingHere(QWidget):
         self.title.setText(nothing.title)
         self.why.setText(nothing.why)
         self.button.setText(nothing.button)
+        self.button.setVisible(bool(nothing.button))
         self.setAccessibleName(nothing.title)
         self.setAccessibleDescription(nothing.why)

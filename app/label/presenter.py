@@ -15,7 +15,7 @@ from app.label.editing import Editing
 from app.label.evidence import badges_of
 from app.label.item import LabelItem, Prelabel, Sheets, reader
 from app.label.looking import LookClock
-from app.label.nothing import EMPTY, EMPTY_QUEUES, NO_PROBES, UNREADABLE, Nothing
+from app.label.nothing import EMPTY, EMPTY_QUEUES, LOADING, NO_PROBES, UNREADABLE, Nothing
 from app.label.page import LabelPage
 from app.label.post import Post
 from app.label.prefetch import Prefetch
@@ -165,6 +165,8 @@ class LabelPresenter:
         ready = self.walk.ready()
         self.saving.hold(ready is None)
         if ready is None:
+            if self.present is None:
+                self._page.show_nothing(LOADING)
             return
         self._show_count()
         self.clock.restart()

@@ -40,3 +40,21 @@ def test_an_empty_queue_keeps_nothing_of_the_former_episode(desk):
     assert page.forces.trace is None
     for line in (page.view_panel.detail, page.verdict, page.basis, page.model_line):
         assert line.text() == ""
+
+
+def test_where_nothing_was_in_sight_the_page_says_that_it_loads(desk, monkeypatch):
+    presenter, gate, page = desk.workspace.presenter, threading.Event(), desk.page
+    presenter.choose_queue("conflicts")
+    desk.settle()
+    assert page.nothing.title.text() == "There are no conflicts"
+    read = presenter._prefetch._read
+    monkeypatch.setattr(presenter._prefetch, "_read", lambda uuid: (gate.wait(120), read(uuid))[1])
+    presenter.choose_queue("unlabelled")
+    desk._qtbot.waitUntil(lambda: presenter.walk.uuid is not None, timeout=60_000)
+    assert page.nothing.isVisible()
+    assert page.nothing.title.text() == "Loading the episode"
+    assert not page.nothing.button.isVisible(), "there is nothing to do but wait"
+    gate.set()
+    desk.settle()
+    assert not page.nothing.isVisible()
+    assert page.view.scene is not None

@@ -10,7 +10,7 @@ import argparse
 import os
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from backend.config.method import TrainingSettings
 from backend.learning.recorded import RecordedTraining, TrainingRequest
 from backend.runs.requests import RunState, SceneChoice
 from backend.session import Keep, Session
+from tests.picture_files import PictureFiles, told
 
 SIZE = (1280, 720)
 PARTS = ("operate", "stack", "review", "collect", "train")
@@ -60,8 +61,8 @@ class Turned:
 class Day:
     """One window on one bench, brought to what its pictures show."""
 
-    def __init__(self, application: QApplication, folder: Path, out: Path) -> None:
-        self._folder, self._out = folder, out
+    def __init__(self, application: QApplication, folder: Path, files: PictureFiles) -> None:
+        self._folder, self._files = folder, files
         runs = folder / "runs"
         self.session = simulated_session(keep=Keep(runs))
         self.session.prepare(SceneChoice())
@@ -121,7 +122,8 @@ class Day:
         rows = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), -1)
         pixels = rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3)
         # The last bit of a level is noise of the simulated cameras, and a sixth of the file.
-        cv2.imwrite(str(self._out / f"{name}.png"), pixels & 0xFE, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        _, png = cv2.imencode(".png", pixels & 0xFE, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        self._files.keep(name, png.tobytes())
         self.main.look.show("dark", 1.0)
 
     def stack(self) -> None:
@@ -207,17 +209,24 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--only", nargs="*", default=list(PARTS), choices=PARTS,
                         help="these alone; review shows what stack leaves")  # fmt: skip
     args = parser.parse_args(argv)
-    args.out.mkdir(parents=True, exist_ok=True)
+    return told(lambda: draw(args.out, args.only))
+
+
+def draw(out: Path, parts: Sequence[str]) -> int:
+    """Make the pictures of these parts of the day; all or none of them are put in ``out``."""
+    files = PictureFiles(out)
     with tempfile.TemporaryDirectory() as folder:
         for name in ("TOUCHDOWN_DATA", "TOUCHDOWN_CONFIG"):
             os.environ[name] = folder
         os.environ["USER"] = os.environ["LOGNAME"] = PERSON
-        day = Day(QApplication([]), Path(folder), args.out)
+        day = Day(QApplication([]), Path(folder), files)
         try:
-            for part in args.only:
+            for part in parts:
                 getattr(day, part)()
+            files.put()
         finally:
             day.close()
+            files.drop()
     return 0
 
 

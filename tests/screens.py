@@ -17,7 +17,7 @@ from pathlib import Path
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 
 import numpy as np
-from PySide6.QtCore import QDeadlineTimer, QEventLoop
+from PySide6.QtCore import QBuffer, QDeadlineTimer, QEventLoop
 from PySide6.QtGui import QPainter
 from PySide6.QtWidgets import QApplication
 
@@ -31,6 +31,7 @@ from backend.runs.requests import RunState
 from tests import screen_panels, screen_states
 from tests.app.label.conftest import make_episode
 from tests.app.stand_in import StandInBench
+from tests.picture_files import PictureFiles, told
 from widgets.fault_cards import CardText, Question
 
 SIZES = ((1280, 720), (1600, 940))
@@ -45,13 +46,19 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--scale", default="1", help="device pixels per pixel: 1, 1.25, 1.5, 2")
     parser.add_argument("--only", nargs="*", default=[""], help="states whose name begins so")
     args = parser.parse_args(argv)
+    return told(lambda: _render_in_a_folder(args))
+
+
+def _render_in_a_folder(args: argparse.Namespace) -> int:
+    sizes = [f"{theme}-{size}" for theme in args.themes for size in args.sizes]
+    files = {name: PictureFiles(args.out / name) for name in sizes}
     os.environ["QT_SCALE_FACTOR"] = args.scale
     with tempfile.TemporaryDirectory() as folder:
         for name in ("TOUCHDOWN_DATA", "TOUCHDOWN_CONFIG"):
             os.environ[name] = folder
         if os.environ["QT_QPA_PLATFORM"] == "offscreen":
             _use_large_screen(Path(folder) / "screen.json")
-        return _render(args, Path(folder))
+        return _render(args, Path(folder), files)
 
 
 def _use_large_screen(file: Path) -> None:
@@ -62,7 +69,7 @@ def _use_large_screen(file: Path) -> None:
     os.environ["QT_QPA_PLATFORM"] = f"offscreen:configfile={file}"
 
 
-def _render(args: argparse.Namespace, folder: Path) -> int:
+def _render(args: argparse.Namespace, folder: Path, files: dict[str, PictureFiles]) -> int:
     application = QApplication([])
     _make_dataset(folder / "dataset")
     screen_panels.train_models(folder / "packs")
@@ -70,14 +77,13 @@ def _render(args: argparse.Namespace, folder: Path) -> int:
     for theme in args.themes:
         for size in args.sizes:
             width, height = (int(part) for part in size.split("x"))
-            out = args.out / f"{theme}-{size}"
-            out.mkdir(parents=True, exist_ok=True)
             stage = Stage(application, folder / f"{theme}-{size}", theme)
             stage.main.window.resize(width, height)
             for name in stage.states():
                 if name.startswith(tuple(args.only)):
                     stage.settle()
-                    stage.grab(out / f"{name}.png")
+                    files[f"{theme}-{size}"].keep(name, stage.grab())
+                    files[f"{theme}-{size}"].put()
                     count += 1
             stage.close()
     sys.stdout.write(f"{count} pictures in {args.out}\n")
@@ -130,8 +136,8 @@ class Stage:
             self.main.pump.tick()
         self.settle()
 
-    def grab(self, path: Path) -> None:
-        """Save the window with whatever dialog or menu stands over it."""
+    def grab(self) -> bytes:
+        """Return the window with whatever dialog or menu stands over it, as PNG."""
         window = self.main.window
         picture = window.grab()
         painter = QPainter(picture)
@@ -140,7 +146,9 @@ class Stage:
                 corner = top.mapToGlobal(top.rect().topLeft())
                 painter.drawPixmap(corner - window.mapToGlobal(window.rect().topLeft()), top.grab())
         painter.end()
-        picture.save(str(path))
+        png = QBuffer()
+        picture.save(png, "PNG")  # type: ignore[call-overload]
+        return bytes(png.data().data())
 
     def close(self) -> None:
         self.main.quit_at_once()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from backend.experiments.beyond import Beyond
-from backend.experiments.gap import gaps
+from backend.experiments.gap import gaps, quantity
 from backend.experiments.promises import IOU_AFTER, RELIABLE_AFTER, Promises
 from backend.experiments.scoring import FUSED
 from backend.jobs.spec import JobSpec
@@ -142,7 +142,7 @@ def _gap(row: Json) -> tuple[str, ...]:
         key: row[f"share{end}"] for key, end in (("value", ""), ("low", "_low"), ("high", "_high"))
     }
     shown = _share(share) if share["low"] is not None else _percent(share["value"])
-    return row["strategy"], row["what"], str(row["n"]), *shares, shown
+    return row["strategy"], quantity(row), str(row["n"]), *shares, shown
 
 
 def _name(cell: Json) -> str:

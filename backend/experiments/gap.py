@@ -1,6 +1,7 @@
-"""How much of the way from the paper's method to the ceiling a strategy goes.
+"""How much of the way from the paper's method to a ceiling a strategy goes.
 
-Only what all three did counts: the same trials, the same groups. The interval is that of a
+One ceiling knows the outline of the bottom, the other that it is round only. Only what all three
+did counts: the same trials, the same groups. The interval is that of a
 bootstrap over seeds within each cell, the three always drawn together (Efron and Tibshirani, An
 Introduction to the Bootstrap, 1993, ch. 13).
 """
@@ -14,11 +15,12 @@ import numpy as np
 
 from backend.core.faults import InputError
 from backend.core.flow import FloatArray, Outcome
+from backend.experiments.beyond import CEILINGS
 from backend.experiments.by_seed import Cell, answers_in, trials_in
 from backend.experiments.scoring import FUSED
 from backend.experiments.tables import UNSAFE, scored
 
-PAPER, CEILING = "paper", "ceiling"
+PAPER = "paper"
 DRAWS, LIMITS = 4000, (2.5, 97.5)
 Json = dict[str, Any]
 Count = Callable[[Json], Sequence[float]]
@@ -28,7 +30,7 @@ Count = Callable[[Json], Sequence[float]]
 def gaps(
     trials: Mapping[Cell, Sequence[Json]], answers: Mapping[Cell, Mapping[int, Json]]
 ) -> list[Json]:
-    """Return one row per strategy beside paper and ceiling, and per quantity.
+    """Return one row per strategy beside paper and ceiling, and per quantity; ``to`` which ceiling.
 
     ``trials``: finished trials of each cell; ``answers``: finished groups, by the seed of the
     first of them. ``share`` is None where the ceiling is no better than the paper, its interval
@@ -36,16 +38,22 @@ def gaps(
     """
     rows = []
     by_seed = {cell: {t["seed"]: t for t in some} for cell, some in trials.items()}
-    for name in _names(by_seed):
-        three = _shared(by_seed, name)
-        rows.append(_row(name, "placed", _counted(three, _placed), _mean))
-        rows.append(_row(name, "unsafe", _counted(three, _unsafe), _mean))
-    for name in _names(answers):
-        three = _shared(answers, name)
+    for name, to in _ways(by_seed):
+        three = _shared(by_seed, name, to)
+        rows.append({**_row(name, "placed", _counted(three, _placed), _mean), "to": to})
+        rows.append({**_row(name, "unsafe", _counted(three, _unsafe), _mean), "to": to})
+    for name, to in _ways(answers):
+        three = _shared(answers, name, to)
         for n in map(str, FUSED):
             counts = _counted(three, lambda answer, n=n: _verdicts(answer, n))  # type: ignore[misc]
-            rows.append(_row(name, f"balanced, n = {n}", counts, _balanced))
+            rows.append({**_row(name, f"balanced, n = {n}", counts, _balanced), "to": to})
     return rows
+
+
+def quantity(row: Mapping[str, Any]) -> str:
+    """Return what a row is about, and which ceiling is meant if not the highest."""
+    to = row.get("to", CEILINGS[0])
+    return str(row["what"]) if to == CEILINGS[0] else f"{row['what']}, to {to}"
 
 
 def merged_gaps(stored: Sequence[tuple[str, Mapping[str, Any]]]) -> list[Json]:
@@ -67,18 +75,22 @@ def merged_gaps(stored: Sequence[tuple[str, Mapping[str, Any]]]) -> list[Json]:
     return gaps(trials, answers)
 
 
-def _names(found: Mapping[Cell, Any]) -> list[str]:
+def _ways(found: Mapping[Cell, Any]) -> list[tuple[str, str]]:
+    """Return who is asked on the way to which ceiling."""
     names = dict.fromkeys(strategy for strategy, _, _ in found)
-    if not {PAPER, CEILING} <= names.keys():
+    if PAPER not in names:
         return []
-    return [name for name in names if name not in (PAPER, CEILING)]
+    asked = [name for name in names if name not in (PAPER, *CEILINGS)]
+    return [(name, to) for to in CEILINGS if to in names for name in asked]
 
 
-def _shared(found: Mapping[Cell, Mapping[int, Json]], name: str) -> list[list[tuple[Json, ...]]]:
-    """Return by cell what paper, ``name`` and ceiling have in common, in this order."""
+def _shared(
+    found: Mapping[Cell, Mapping[int, Json]], name: str, to: str
+) -> list[list[tuple[Json, ...]]]:
+    """Return by cell what paper, ``name`` and the ceiling have in common, in this order."""
     cells = []
     for piece, bottom in dict.fromkeys((p, b) for _, p, b in found):
-        three = [found.get((s, piece, bottom), {}) for s in (PAPER, name, CEILING)]
+        three = [found.get((s, piece, bottom), {}) for s in (PAPER, name, to)]
         seeds = sorted(set(three[0]) & set(three[1]) & set(three[2]))
         if seeds:
             cells.append([tuple(part[seed] for part in three) for seed in seeds])

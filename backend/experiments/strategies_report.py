@@ -8,6 +8,7 @@ from typing import Any
 from backend.core.flow import Outcome
 from backend.experiments.charts import reliability_chart
 from backend.experiments.document import Entry, Gallery, Grid, Picture, Section
+from backend.experiments.gap import quantity
 from backend.experiments.statistics import rate
 from backend.experiments.words import counts_of, entry_of, interval_of, percent
 
@@ -191,7 +192,7 @@ def _gaps(rows: Sequence[Json]) -> Section | None:
         return None
     lines = tuple(
         (
-            f"{TITLES.get(row['strategy'], row['strategy'])}, {row['what']}",
+            f"{TITLES.get(row['strategy'], row['strategy'])}, {quantity(row)}",
             (
                 Entry(str(row["n"])),
                 *(Entry(percent(row[key])) for key in ("paper", "own", "ceiling")),
@@ -201,7 +202,7 @@ def _gaps(rows: Sequence[Json]) -> Section | None:
         for row in rows
     )
     columns = tuple((name, "") for name in ("n", "paper, %", "own, %", "ceiling, %", "share, %"))
-    text = "From the paper's strategy to the ceiling, over what all three did."
+    text = "From the paper's strategy to a ceiling, over what all three did."
     return Section("Share of the way to the ceiling", (text,), (Grid("", columns, lines),))
 
 

@@ -12,7 +12,7 @@ from backend.__main__ import main
 from backend.core.faults import InputError
 from backend.experiments.by_seed import answers_in, group_lines, trial_lines, trials_in
 from backend.experiments.formats import BEYOND_FORMAT
-from backend.experiments.gap import gaps, merged_gaps
+from backend.experiments.gap import gaps, merged_gaps, quantity
 
 Json = dict[str, Any]
 
@@ -49,6 +49,20 @@ def test_between_nothing_and_everything_the_share_is_the_rate_itself() -> None:
     )
     # Nobody let go of anything that fell: there is no way to go.
     assert unsafe["share"] is None
+
+
+def test_one_who_knows_less_of_the_bottom_is_a_ceiling_too() -> None:
+    names = {"paper": cell(2, 10), "mine": cell(5, 10), "ceiling-diameter": cell(7, 10)}
+    of_pot = {(name, "pot", "long"): trials for name, trials in names.items()}
+    (row, _) = gaps(of_pot, {})
+    assert (row["to"], row["share"]) == ("ceiling-diameter", pytest.approx(0.6))
+    rows = gaps({**of_pot, ("ceiling", "pot", "long"): cell(8, 10)}, {})
+    # None of the two stands among those that are on their way.
+    placed = [(r["strategy"], quantity(r), r["share"]) for r in rows if r["what"] == "placed"]
+    assert placed == [
+        ("mine", "placed", pytest.approx(0.5)),
+        ("mine", "placed, to ceiling-diameter", pytest.approx(0.6)),
+    ]
 
 
 def test_a_way_that_may_not_exist_has_no_interval() -> None:

@@ -151,12 +151,14 @@ class Models:
     """The trained models of a bench: each file is read once for a piece.
 
     Without a file in the choice it is the model in use of ``registry``, else the one that ships;
-    a run keeps the one that it was checked with, whatever is promoted meanwhile.
+    a run keeps the one that it was checked with, whatever is promoted or becomes of its file
+    meanwhile. The next run reads a file that has changed anew.
     """
 
     def __init__(self, registry: Registry | None, facts: BenchFacts, grid_mm: float) -> None:
         self._registry, self._facts, self._grid_mm = registry, facts, grid_mm
         self._loaded: dict[tuple[Path, str], Estimator] = {}
+        self._stamps: dict[Path, tuple[int, int] | None] = {}
         self._checked: dict[str, Path] = {}
 
     def of(self, choice: SceneChoice, piece: Piece) -> Estimator | None:
@@ -164,17 +166,19 @@ class Models:
         if not choice.estimates:
             return None
         path = Path(choice.model) if choice.model else self._checked.get(choice.piece)
-        path = path or model_in_use(choice.piece, self._registry)
-        if (path, piece.name) not in self._loaded:
-            self._loaded[path, piece.name] = Estimator.load(path, piece)
-        return self._loaded[path, piece.name]
+        return self._read(path or model_in_use(choice.piece, self._registry), piece)
 
     def check(self, choice: SceneChoice, piece: Piece) -> Estimator | None:
         """Return the model for a run that begins; ``InputError`` if it must not be ``alone``."""
-        if choice.estimates and not choice.model:
-            self._checked[choice.piece] = model_in_use(choice.piece, self._registry)
-        loaded = self.of(choice, piece)
-        if loaded is not None and choice.alone:
+        if not choice.estimates:
+            return None
+        path = Path(choice.model or model_in_use(choice.piece, self._registry))
+        if self._stamps.get(path) != _stamp(path):
+            self._loaded = {key: one for key, one in self._loaded.items() if key[0] != path}
+        loaded = self._read(path, piece)
+        if not choice.model:
+            self._checked[choice.piece] = path
+        if choice.alone:
             card = loaded.card
             probes = (
                 0 if self._registry is None else self._registry.hardware_probes(card.weights_sha256)
@@ -182,6 +186,21 @@ class Models:
             found = misfits(card, self._facts, piece.sha256, self._grid_mm, probes)
             check_alone(card, found, f"model {card.weights_sha256[:12]}")
         return loaded
+
+    def _read(self, path: Path, piece: Piece) -> Estimator:
+        if (path, piece.name) not in self._loaded:
+            self._stamps[path] = _stamp(path)
+            self._loaded[path, piece.name] = Estimator.load(path, piece)
+        return self._loaded[path, piece.name]
+
+
+def _stamp(path: Path) -> tuple[int, int] | None:
+    """Return by what a file is known to be the same as before, None if there is none."""
+    try:
+        told = path.stat()
+    except OSError:
+        return None
+    return told.st_mtime_ns, told.st_size
 
 
 def model_in_use(piece: str, registry: Registry | None) -> Path:

@@ -25,6 +25,11 @@ WRENCH_AGE_LIMIT_S = 0.015
 """At release the wrench is at most 1.5 control cycles of 10 ms older than the sensor makes it."""
 FRESH_S = 0.5
 """So long a younger wrench is waited for."""
+NO_PIECE = (
+    "The gripper closed on nothing: no piece is between the jaws. Open them and hold one between "
+    "them, or set the simulated bench anew (Ctrl+N in Operate)."
+)
+"""Such as after a run that let its piece go."""
 
 
 def rest(bench: Bench, seconds: float) -> Plan[None]:
@@ -42,7 +47,7 @@ def take_piece(bench: Bench) -> Plan[None]:
     yield from motion_done(grip, GRIP_S, "the gripper to hold the piece")
     yield from rest(bench, SETTLE_S)
     if not bench.gripper.status().holding:
-        raise RefusedError("NO-PIECE", "The gripper closed without a piece.")
+        raise RefusedError("NO-PIECE", NO_PIECE)
 
 
 def zero_sensors(bench: Bench, probe: int) -> Plan[None]:

@@ -1,5 +1,6 @@
 """Which model may decide alone on which bench, field by field."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -123,3 +124,39 @@ def test_the_session_takes_the_model_in_use(tmp_path: Path, card: Card) -> None:
     assert in_use() == card.weights_sha256
     models.check(SceneChoice(), piece)
     assert in_use() == mine.weights_sha256
+
+
+@pytest.mark.parametrize("named", [False, True], ids=["promoted", "named"])
+def test_a_run_keeps_its_model_though_the_file_is_damaged_and_the_next_is_refused(
+    named: bool, tmp_path: Path, card: Card
+) -> None:
+    checkpoint = load_checkpoint(model_in_use("pot", None))
+    arrays = {**checkpoint.arrays, "head.bias": checkpoint.arrays["head.bias"] + 1}
+    model, registry = tmp_path / "pot.safetensors", Registry(tmp_path / "models")
+    mine = save_checkpoint(model, arrays, card)
+    registry.promote(model)
+    file = model if named else registry.in_use("pot")
+    assert file is not None
+    choice = SceneChoice(model=str(model) if named else None)
+    models, piece = Models(registry, HERE, 1.0), load_catalogue().piece("pot")
+    checked = models.check(choice, piece)
+    assert checked is not None
+    good = file.read_bytes()
+    file.write_bytes(good[:-8] + bytes(8))
+    os.utime(file, ns=(1, 1))
+    assert models.of(choice, piece) is checked, "the trials of the run that goes on"
+    with pytest.raises(InputError, match="damaged or not those of their card") as refused:
+        models.check(choice, piece)
+    assert (refused.value.where, bool(refused.value.fix)) == (str(file), True)
+    if not named:
+        registry.roll_back("pot")
+        shipped = models.check(choice, piece)
+        assert shipped is not None
+        assert shipped.card.weights_sha256 == card.weights_sha256
+        return
+    # Another model that was put in its place is read, and not the one in memory.
+    other = save_checkpoint(file, checkpoint.arrays, card)
+    os.utime(file, ns=(2, 2))
+    again = models.check(choice, piece)
+    assert again is not None
+    assert again.card.weights_sha256 == other.weights_sha256 != mine.weights_sha256

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Protocol
 
 from backend.core.clock import Clock, MonotonicClock
+from backend.core.realtime import prefer
 from backend.emulators.faults import Faults
 
 TICK_S = 0.002
@@ -64,7 +65,9 @@ class Front(ABC):
         self.log: deque[Exchange] = deque(maxlen=LOG_LENGTH)
         self.received = self.sent = self.clients = 0
         self.damage: Callable[[bytes], bytes] = bytes
-        self._thread = threading.Thread(target=self._run, name="emulator", daemon=True)
+        self.priority = 0
+        """Real-time priority while it serves, where the user may have it; 0: as it is."""
+        self._thread = threading.Thread(target=self._begin, name="emulator", daemon=True)
 
     @property
     @abstractmethod
@@ -85,6 +88,10 @@ class Front(ABC):
     def inject(self, kind: str, for_s: float | None = None, **more: float) -> None:
         """Let a fault begin now."""
         self.faults.inject(self._clock.now_s(), kind, for_s, **more)
+
+    def _begin(self) -> None:
+        prefer(self.priority)
+        self._run()
 
     @abstractmethod
     def _run(self) -> None:

@@ -18,6 +18,7 @@ from backend.config.hardware import MelfaSettings
 from backend.config.method import ProbeSettings
 from backend.core.faults import Fault
 from backend.core.flow import FINGERS, Finger, FloatArray, ImageArray
+from backend.core.realtime import prefer
 from backend.core.turning import LEVEL_RAD, UNTURNED, vector_of
 from backend.emulators.dynpick import EmulatedDynpick
 from backend.emulators.faults import Faults
@@ -62,6 +63,8 @@ class JoinedScene:
         self._felt: tuple[float, FloatArray] = (0.0, np.zeros((1, 6)))
         self._pictures: dict[Finger, ImageArray] = {}
         self._stop = threading.Event()
+        self.priority = 0
+        """Real-time priority while time passes, where the user may have it; 0: as it is."""
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
         self.late = 0
         """Cycles that were given up."""
@@ -120,6 +123,7 @@ class JoinedScene:
 
     def _run(self) -> None:
         """Step each cycle as soon as it is over: so it knows where the arm has come to."""
+        prefer(self.priority)
         self._zero_s = time.monotonic() - 1e-6 * self.world.now_us
         while not self._stop.is_set():
             over_s = self._zero_s + 1e-6 * (self.world.now_us + self.world.cycle_us)

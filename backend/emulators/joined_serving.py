@@ -32,6 +32,9 @@ POLL_HZ = 100.0
 """How often the cameras are asked for a new picture: once a cycle of the world, which takes them at
 the rate of the scene."""
 
+PRIORITY = 20
+"""Real-time priority of all devices: what they stand for loses no time to this computer's other
+work. Below that of the rig."""
 SENSOR_TICK_S = 0.004
 """About a cycle of the arm, which feels once a cycle; each look wakes sensor and driver."""
 
@@ -64,6 +67,9 @@ def serve_bench(
     gripper = TcpFront(JoinedWsg(joined, gripping), host, faults=gripping)
     sensor = _sensor(joined, folder, Faults("force_torque", plan), host)
     cameras = [_camera(joined, finger, folder, plan) for finger in FINGERS]
+    joined.priority = PRIORITY
+    for front in (arm, gripper, sensor, *cameras):
+        front.priority = PRIORITY
     tables: dict[str, Mapping[str, object]] = {
         **melfa_tables(arm),
         "wsg": {"host": host, "port": gripper.address[1]},

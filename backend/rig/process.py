@@ -21,11 +21,11 @@ from typing import IO
 
 from backend.config.hardware import HardwareSettings
 from backend.core.faults import InputError
+from backend.core.realtime import prefer
 from backend.core.stream import SampleStream
 from backend.devices.arms import make_arm
 from backend.devices.force_torque.making import make_force_torque
 from backend.devices.interlock import Limits
-from backend.devices.melfa.realtime import prefer
 from backend.devices.wsg.making import make_gripper
 from backend.rig.channel import Channel
 from backend.rig.host import Devices, RigHost

@@ -75,6 +75,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--preset", default="mixed", help="of a bench: nuisances")
     parser.add_argument("--seed", type=int, default=1, help="of a bench")
     parser.add_argument(
+        "--jig",
+        action="store_true",
+        help="of a bench: the piece in a jig beside the bottom, to calibrate and collect",
+    )
+    parser.add_argument(
         "--for", type=float, dest="for_s", metavar="S", help="end after this time (default: Ctrl-C)"
     )
 
@@ -148,7 +153,7 @@ def _bench(args: argparse.Namespace) -> tuple[JoinedScene, Emulation]:
     from backend.assembly import SimulatedBenchChoice, make_scene
 
     settings = SimulatedBenchChoice(preset=args.preset).settings()
-    choice = SceneChoice(args.piece, (args.bottom,), args.seed)
+    choice = SceneChoice(args.piece, (args.bottom,), args.seed, jig=args.jig)
     scene = make_scene(load_catalogue(), choice, settings)
     try:
         world, emulation = serve_bench(scene, args.folder, _plan(args), args.host)

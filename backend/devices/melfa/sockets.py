@@ -14,10 +14,10 @@ from collections.abc import Callable
 
 from backend.config.hardware import MelfaSettings
 from backend.core.faults import Fault, FaultError
+from backend.core.realtime import prefer
 from backend.devices.melfa.claim import Claim
 from backend.devices.melfa.link_faults import link_fault
 from backend.devices.melfa.r3_client import R3Client, Ticket
-from backend.devices.melfa.realtime import prefer
 from backend.devices.melfa.stream import END
 from backend.devices.melfa.wires import Cycle, CycleTimes
 from backend.wire.melfa_joints import CYCLE_S

@@ -26,9 +26,10 @@ MELFA = HardwareSettings().melfa
 class Bench:
     """World and gripper, stepped by hand."""
 
-    def __init__(self):
+    def __init__(self, *, jig=False):
         settings = SimulatedBenchChoice(preset="quiet").settings()
-        scene = make_scene(load_catalogue(), SceneChoice("pot", ("short",), 3), settings)
+        choice = SceneChoice("pot", ("short",), 3, jig=jig)
+        scene = make_scene(load_catalogue(), choice, settings)
         self.joined = JoinedScene(scene, MELFA)
         self.gripper = JoinedWsg(self.joined)
 
@@ -84,6 +85,17 @@ def test_the_piece_is_taken_with_its_weight_and_let_go(bench):
     bench.pass_time(0.5)
     assert bench.joined.world.holding is None
     assert bench.gripper.jaws.part_mm is None
+
+
+def test_a_piece_let_go_in_its_jig_can_be_taken_again():
+    bench = Bench(jig=True)
+    world = bench.joined.world
+    for _ in range(2):
+        bench.held()
+        assert world.holding is not None
+        bench.order(wsg_binary.release(60.0, 50.0))
+        bench.pass_time(0.5)
+        assert world.holding is None
 
 
 def test_the_world_goes_where_the_joints_are_and_a_descent_is_a_probe(bench):

@@ -1,4 +1,4 @@
-"""Real-time priority for the thread that owns the stream, where the system allows it."""
+"""Real-time priority for threads with deadlines, where the system allows it."""
 
 from __future__ import annotations
 

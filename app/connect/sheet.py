@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QRect, Qt
 from PySide6.QtWidgets import (
     QDialog,
     QGridLayout,
@@ -26,6 +26,7 @@ MARKS = {
     "failed": "\N{MULTIPLICATION X}",
     "open": "\N{MIDDLE DOT}",
 }
+TALLEST_PX = 10_000
 TONES = {"done": "good", "failed": "bad"}
 
 
@@ -191,8 +192,10 @@ class ConnectSheet(QDialog):
             set_property(mark, "tone", TONES.get(word, ""))
         row.text.setText(look.text)
         # A label in a grid does not claim the lines that its text needs.
-        lines = 3 if look.bad else 2
-        row.text.setMinimumHeight(lines * self.fontMetrics().lineSpacing() + 2)
+        metrics, least = self.fontMetrics(), 3 if look.bad else 2
+        room = QRect(0, 0, (25 if look.extra else 30) * metrics.height(), TALLEST_PX)
+        high = metrics.boundingRect(room, Qt.TextFlag.TextWordWrap, look.text).height()
+        row.text.setMinimumHeight(max(high, least * metrics.lineSpacing()) + 2)
         set_property(row.text, "tone", "bad" if look.bad else "")
         row.button.setText(look.label)
         row.button.setAccessibleName(f"{look.label} {look.title}")

@@ -128,6 +128,19 @@ def test_one_that_failed_says_what_to_do_and_is_tried_alone(lab, bench, devices)
     assert shown(lab).row(1)[0] == "ready"
 
 
+def test_a_long_reason_is_not_cut_off(lab, bench, devices):
+    where = "/dev/serial/by-id/usb-FTDI_USB-RS422_Cable_FT4VA1B2-if00-port0"
+    devices["force_torque"].fails_at = "reach"
+    devices["force_torque"].name = f"could not open port {where}: No such file: {where}; " * 2
+    lab.panels.connect.sheet.connect_all.click()
+    wait(bench)
+    sheet = shown(lab)
+    settle(lab)
+    text = sheet._rows[0].text
+    assert where in text.text()
+    assert text.height() >= text.heightForWidth(text.width())
+
+
 def test_disconnecting_one_leaves_the_scene_first(lab, bench, devices):
     lab.panels.connect.sheet.connect_all.click()
     wait(bench)

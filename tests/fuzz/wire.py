@@ -23,6 +23,8 @@ from tests.backend.wire.vectors import VECTORS
 from tests.fuzz.readers import READERS
 
 HANG_S = 5.0
+ARMED_S = 1.0
+"""The watch for hangs is set anew so often."""
 Key = tuple[str, str]
 ALL: dict[Key, Codec] = {**CODECS, **{key: reader.codec for key, reader in READERS.items()}}
 
@@ -136,13 +138,11 @@ def wrong(codec: Codec, message: Any, content: bytes) -> str:
 def attempt(key: Key, content: bytes, cut: int | None, count: Count) -> None:
     """Decode one input and note what came of it."""
     codec, started = ALL[key], time.perf_counter()
-    faulthandler.dump_traceback_later(HANG_S, exit=True)
     try:
         messages = codec.messages(content, cut)
         flaws = [flaw for message in messages if (flaw := wrong(codec, message, content))]
     except Exception as error:  # noqa: BLE001 any other exception is what is looked for
         messages, flaws = [], [f"raised {type(error).__name__}: {error}"]
-    faulthandler.cancel_dump_traceback_later()
     count.inputs += 1
     count.octets += len(content)
     count.messages += len(messages)
@@ -160,11 +160,16 @@ def inputs(key: Key, seed: int) -> Iterator[tuple[bytes, int | None]]:
 
 def fuzz(key: Key, seed: int, enough: Callable[[Count], bool]) -> Count:
     """Feed one decoder until it is ``enough``."""
-    count = Count()
+    count, armed_s = Count(), float("-inf")
     for content, cut in inputs(key, seed):
         if enough(count):
-            return count
+            break
+        # Not for every input: each time costs a thread.
+        if time.monotonic() - armed_s > ARMED_S:
+            faulthandler.dump_traceback_later(HANG_S + ARMED_S, exit=True)
+            armed_s = time.monotonic()
         attempt(key, content, cut, count)
+    faulthandler.cancel_dump_traceback_later()
     return count
 
 

@@ -395,5 +395,5 @@ class Session:
         around = Around(now_s, self._wall_s, press_n, surface_mm, lambda: self.engine.busy)
         hand = Hand(Reach(arm, gripper, sensing), self.interlock, around, self.hub.publish)
         self._scene = scene = _Scene(stage, sensing, arm, gripper, hand)
-        self._supervision.begin(now_s(), stage.gripper, stage.devices["force_torque"])
+        self._supervision.begin(now_s(), gripper, stage.devices["force_torque"])
         return scene

@@ -300,6 +300,7 @@ class GuardedGripper(_Guarded):
     def __init__(self, gripper: Gripper, interlock: Interlock, now_s: Callable[[], float]) -> None:
         super().__init__(gripper)
         self._gripper, self._interlock, self._now_s = gripper, interlock, now_s
+        self.grips, self.letting_go = 0, False
         interlock.on_stop(gripper.stop)
 
     def status(self) -> GripStatus:
@@ -309,6 +310,7 @@ class GuardedGripper(_Guarded):
     def grip(self, force_n: float) -> Motion:
         """Grip with ``force_n`` per finger."""
         self._interlock.require_motion(self._now_s())
+        self.grips, self.letting_go = self.grips + 1, False
         return self._gripper.grip(force_n)
 
     def open_to(self, width_mm: float, speed_mm_s: float) -> Motion:
@@ -344,8 +346,11 @@ class GuardedGripper(_Guarded):
     def _open(self, right: Right, width_mm: float, speed_mm_s: float) -> Motion:
         """Open by ``right``; a gripper that looks for itself judges once more."""
         if isinstance(self._gripper, OpensByRight) and self._gripper.status().holding:
-            return self._gripper.open_held(right, width_mm, speed_mm_s)
-        return self._gripper.open_to(width_mm, speed_mm_s)
+            opening = self._gripper.open_held(right, width_mm, speed_mm_s)
+        else:
+            opening = self._gripper.open_to(width_mm, speed_mm_s)
+        self.letting_go = True
+        return opening
 
     def stop(self) -> None:
         """Latch the interlock and stop; the grip is kept."""

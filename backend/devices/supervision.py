@@ -24,6 +24,7 @@ from backend.devices.degraded import (
     Rate,
     pause_fault,
 )
+from backend.devices.grip_watch import GripWatch
 from backend.devices.interlock import Interlock
 from backend.devices.protocols import Device, Gripper
 
@@ -53,6 +54,7 @@ class Supervision:
         self._counts = {finger: frames[finger].count for finger in FINGERS}
         self._wrist: Device | None = None
         self._gripper: Gripper | None = None
+        self._grip = GripWatch()
         self.degraded: tuple[Degraded, ...] = ()
         """Devices that are late or slow now; for any thread."""
         self._now_s = 0.0
@@ -66,6 +68,7 @@ class Supervision:
         ``usual_hz``.
         """
         self._gripper, self._wrist = gripper, wrist
+        self._grip = GripWatch(gripper)
         self._begun_s = self._finite_s = now_s
         self._cursor = self._wrench.count
         self._repeats = {finger: _Repeats(self._frames[finger]) for finger in FINGERS}
@@ -87,6 +90,8 @@ class Supervision:
                 self._rates["force_torque"].note(self._finite_s, count, self._usual_hz)
                 self._check_trip(samples.values[finite])
         self._check_frozen()
+        if (lost := self._grip.check(now_s)) is not None:
+            self._interlock.raise_fault(lost)
         if now_s - self._begun_s < GRACE_S:
             return
         self._check_ages(now_s)

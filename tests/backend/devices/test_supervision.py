@@ -9,7 +9,7 @@ from backend.core.flow import FINGERS, TactileFrame
 from backend.core.stream import SampleStream, Stream
 from backend.devices.degraded import Degraded, Rate
 from backend.devices.interlock import Interlock
-from backend.devices.protocols import GripStatus, Health
+from backend.devices.protocols import DeviceState, GripStatus, Health
 from backend.devices.supervision import GRACE_S, Supervision
 
 IMAGES = np.random.default_rng(5).integers(0, 2, (8, 240, 320, 3), dtype=np.uint8)
@@ -218,6 +218,7 @@ class Jaws:
     """A gripper that was last heard at ``heard_s``."""
 
     heard_s, holding = 0.0, True
+    state, grips, letting_go = DeviceState.READY, 1, False
 
     def __init__(self, bench: Watched) -> None:
         self._bench = bench
@@ -247,6 +248,6 @@ def test_a_gripper_that_holds_a_piece_is_degraded_after_300_ms_and_a_fault_after
     bench.run(0.06)
     assert bench.codes() == [("GRIP-STALE", "gripper")]
     bench.interlock.reset()
-    jaws.holding = False
+    jaws.letting_go, jaws.holding = True, False
     bench.run(0.1)
     assert (bench.supervision.degraded, bench.codes()) == ((), []), "empty jaws let nothing fall"

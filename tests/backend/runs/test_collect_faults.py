@@ -106,3 +106,21 @@ def test_a_failing_sensor_within_a_press_is_no_probe_and_the_campaign_goes_on(
     (entry,) = failing.dataset.episodes()
     assert (entry.plan_item, entry.quality.accepted) == (0, True)
     assert np.isfinite(failing.dataset.film(entry.uuid).episode.observation).all()
+
+
+@pytest.mark.parametrize("phase", ["approach", "hold"])
+def test_a_piece_that_is_lost_within_a_probe_is_no_probe(phase: str, failing: Failing) -> None:
+    lost_s: list[float] = []
+
+    def lose(fact: Fact) -> None:
+        if isinstance(fact, PhaseEntered) and fact.phase == phase and not lost_s:
+            jaws = failing.session._scene.stage.gripper._world.jaws
+            jaws.piece_present = jaws.holding = False
+            lost_s.append(fact.t_s)
+
+    failing.session.hub.subscribe(lose)
+    failing.run(count=1)
+    failing.one_fault("PIECE-LOST", "gripper")
+    failing.only_what_was_told(0)
+    (told,) = [fact for fact in failing.facts if isinstance(fact, FaultRaised)]
+    assert told.t_s - lost_s[0] <= 0.2

@@ -12,6 +12,7 @@ from PySide6.QtWidgets import QApplication, QPushButton
 
 from app.application import TouchdownApp
 from app.error_hooks import ErrorBox
+from backend.assembly import model_in_use
 from backend.learning.registry import Registry
 from backend.learning.training_runs import training_runs
 from backend.runs.store import models_folder
@@ -101,6 +102,29 @@ def test_without_data_the_page_says_how_to_get_some(qapp, qtbot, tmp_path):
     qtbot.waitUntil(lambda: bool(page.leaks.text()), timeout=60_000)
     assert "Collect probes (Ctrl+2)" in page.leaks.text()
     assert not page.form.start.isEnabled()
+    assert main.cards.codes == ()
+    main.close()
+    main.window.deleteLater()
+    main.deleteLater()
+
+
+def test_a_model_of_data_that_is_gone_is_rolled_back_by_its_key(qapp, qtbot, tmp_path):
+    registry = Registry(models_folder())
+    mine = registry.promote(model_in_use("pot", None), "Ann").weights_sha256
+    main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
+    with qtbot.waitActive(main.window, timeout=60_000):
+        main.window.show()
+        main.window.activateWindow()
+    desk = Desk(main, qtbot, tmp_path / "gone")
+    desk.press(KEY.Key_3, CTRL)
+    desk.until(lambda: desk.page.roll_back.isEnabled())
+    assert not desk.page.form.start.isEnabled(), "there is nothing to train on"
+    assert f"model {mine[:8]}" in desk.page.in_use.text()
+    desk.press(KEY.Key_P, CTRL | SHIFT)
+    desk.settle()
+    assert registry.in_use("pot") is None
+    assert desk.page.in_use.text().startswith("In use for pot: the model that ships.")
+    assert not desk.page.roll_back.isEnabled()
     assert main.cards.codes == ()
     main.close()
     main.window.deleteLater()

@@ -288,10 +288,30 @@ def test_after_a_stop_the_next_command_begins_at_the_echo(rig):
     assert rig.true_mm[2] == pytest.approx(75.0, abs=0.05)
 
 
-@pytest.mark.parametrize("number", [50, 61, 70, 2601, 4242])
-def test_an_error_of_the_controller_is_told_with_its_number(rig, number):
-    rig.arm.move_to(FAR, SPEED_MM_S)
+def doing(rig, what):
+    """Bring the arm into a state; in that of a press it is in contact."""
+    if what == "travel":
+        rig.arm.move_to(FAR, SPEED_MM_S)
+    elif what == "jog":
+        rig.arm.jog((0.0, 0.0, 10.0), 2.0)
+    elif what == "press":
+        rig.contact = lambda pivot: np.array([0.0, 0.0, max(0.0, 8.0 * (59.6 - pivot[2]))])
+        rig.rest(0.6)
+        rig.arm.press(PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 6.0, (30.0, 30.0, 15.0)))
+        rig.rest(1.2)
+        assert rig.wrench.since(0).values[-1, 2] > 1.0
     rig.rest(0.5)
+
+
+@pytest.mark.parametrize(
+    ("number", "what"),
+    [
+        (50, "stand"), (61, "jog"), (70, "press"),
+        (2000, "travel"), (2601, "press"), (4140, "jog"), (6020, "stand"), (4242, "travel"),
+    ],
+)  # fmt: skip
+def test_an_error_of_the_controller_ends_every_state_and_its_number_is_told(rig, number, what):
+    doing(rig, what)
     rig.device.controller.raise_error(number)
     followed = rig.device.stream.commands
     rig.rest(0.35)
@@ -300,9 +320,16 @@ def test_an_error_of_the_controller_is_told_with_its_number(rig, number):
     assert (rig.arm.status().safety_mode is SafetyMode.HW_STOP) == (number in (50, 61, 70))
     assert rig.arm.status().robot_mode is RobotMode.SERVO_OFF
     assert rig.device.stream.commands == followed
-    commands = rig.device.stream.commands
     rig.arm.close()
-    assert rig.device.stream.commands == commands
+    assert rig.device.stream.commands == followed
+    # The operator clears it and connects again: the arm is told to be where it is.
+    rig.device.controller.emergency = False
+    rig.device.controller.reset_error()
+    here_mm, since = rig.true_mm, len(rig.wires.packets)
+    rig.arm.connect(1.0, threading.Event())
+    rig.rest(0.1)
+    assert rig.arm.state is DeviceState.READY
+    assert np.abs(places(rig, since) - here_mm).max() < 0.01
 
 
 def test_a_program_that_ends_by_itself_is_a_fault(rig):

@@ -81,7 +81,8 @@ class DynpickLanguage:
         return True
 
     def _near(self, first: Record, second: Record) -> bool:
-        return max(map(abs, map(sub, first.counts, second.counts))) <= self._settings.max_step
+        leap: int = max(map(abs, map(sub, first.counts, second.counts)))
+        return leap <= self._settings.max_step
 
     def _reading(self, record: Record) -> Reading:
         missed, self._missed = self._missed, 0

@@ -94,7 +94,9 @@ class TouchdownApp(QObject):
         )
         self.dialogs.more = lambda: self.layouts.entries(self.window.front)
         self.toured, self.tour_due = settings.toured, False
-        self.tour = Tour(self.theme, self.window, self._stops, self.go, self._tour_ended)
+        self.tour = Tour(
+            self.theme, self.window, self.cards, self._stops, self.go, self._tour_ended
+        )
         self._wire_rail()
         warning = f"{warning} {ignored_words(self.actions.refused)}".strip()
         self._warn(warning, self.layouts.load(tuple(self.workspaces)))

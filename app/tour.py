@@ -19,20 +19,26 @@ from widgets.theme import Theme
 from widgets.top_bar import TopBar
 from widgets.tour_card import RING_PX, Spotlight, TourCard, TourStop
 
+FOLLOWED = frozenset({QEvent.Type.Resize, QEvent.Type.Move, QEvent.Type.Show, QEvent.Type.Hide})
+
 
 class Tour(QObject):
-    """``make`` gives the stops when it begins; ``done`` is told when it ends, however it ends."""
+    """``make`` gives the stops when it begins; ``done`` is told when it ends, however it ends.
+
+    ``cards`` of the window stay bright and uncovered: a fault does not wait for the tour.
+    """
 
     def __init__(
         self,
         theme: Theme,
         window: MainWindow,
+        cards: QWidget,
         make: Callable[[], Sequence[TourStop]],
         go: Callable[[str], None],
         done: Callable[[], None],
     ) -> None:
         super().__init__(window)
-        self._theme, self._window, self._make = theme, window, make
+        self._theme, self._window, self._cards, self._make = theme, window, cards, make
         self._go, self._done = go, done
         self.stops: Sequence[TourStop] = ()
         self.at = -1
@@ -51,7 +57,8 @@ class Tour(QObject):
         self.spotlight = Spotlight(self._theme, self._window)
         self.card = TourCard(self._window, self.turn, self.end)
         self.stops, self.at = self._make(), 0
-        self._window.installEventFilter(self)
+        for followed in (self._window, self._cards):
+            followed.installEventFilter(self)
         self._show()
 
     def turn(self, by: int) -> None:
@@ -68,7 +75,8 @@ class Tour(QObject):
         if not self.active or self.card is None or self.spotlight is None:
             return
         self.at = -1
-        self._window.removeEventFilter(self)
+        for followed in (self._window, self._cards):
+            followed.removeEventFilter(self)
         for widget in (self.card, self.spotlight):
             widget.hide()
             widget.deleteLater()
@@ -76,8 +84,8 @@ class Tour(QObject):
         self._done()
 
     def eventFilter(self, _watched: QObject, event: QEvent) -> bool:
-        """Follow the window's size."""
-        if event.type() is QEvent.Type.Resize:
+        """Follow the size of the window, and its cards as they come and go."""
+        if event.type() in FOLLOWED:
             self.fit()
         return False
 
@@ -86,8 +94,9 @@ class Tour(QObject):
         if not self.active or self.card is None or self.spotlight is None:
             return
         hole = QRect() if self._place is None else self._hole(self._place)
-        self.spotlight.show_hole(hole)
-        self.card.fit(hole)
+        cards = self._hole(self._cards, 0)
+        self.spotlight.show_hole(hole, cards)
+        self.card.fit(hole, cards.bottom() + 1)
         self.card.raise_()
 
     def _show(self) -> None:
@@ -104,11 +113,11 @@ class Tour(QObject):
         self.card.show_stop(stop, self.at, len(self.stops))
         self.fit()
 
-    def _hole(self, place: QWidget) -> QRect:
+    def _hole(self, place: QWidget, ring: int = RING_PX) -> QRect:
         if not place.isVisibleTo(self._window):
             return QRect()
         corner = place.mapTo(self._window, QPoint(0, 0))
-        lit = QRect(corner, place.size()).adjusted(-RING_PX, -RING_PX, RING_PX, RING_PX)
+        lit = QRect(corner, place.size()).adjusted(-ring, -ring, ring, ring)
         return lit.intersected(self._window.rect())
 
 

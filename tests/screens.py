@@ -303,6 +303,10 @@ class Stage:
             self.settle()
             main.tour.fit()
             yield f"tour-{stop}"
+        main.stop()
+        self.settle()
+        yield "tour-and-stopped"
+        main.reset()
         main.tour.end()
 
     def _large_text(self) -> Iterator[str]:

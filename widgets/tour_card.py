@@ -34,19 +34,19 @@ class TourStop:
 
 
 class Spotlight(QWidget):
-    """Dims the window but for one rectangle; the mouse goes through it."""
+    """Dims the window but for one rectangle and its cards; the mouse goes through it."""
 
     def __init__(self, theme: Theme, window: QWidget) -> None:
         super().__init__(window)
         self._theme, self._window = theme, window
-        self.hole = QRect()
+        self.hole, self._cards = QRect(), QRect()
         self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.hide()
 
-    def show_hole(self, hole: QRect) -> None:
-        """Light this rectangle of the window."""
-        self.hole = hole
+    def show_hole(self, hole: QRect, cards: QRect) -> None:
+        """Light ``hole`` with a ring; ``cards`` stay bright as well, an empty one is none."""
+        self.hole, self._cards = hole, cards
         self.setGeometry(self._window.rect())
         self.show()
         self.raise_()
@@ -56,9 +56,12 @@ class Spotlight(QWidget):
         """Draw shade and ring."""
         painter = QPainter(self)
         painter.save()
-        painter.setClipRegion(QRegion(self.rect()).subtracted(QRegion(self.hole)))
+        bright = QRegion(self.hole).united(QRegion(self._cards))
+        painter.setClipRegion(QRegion(self.rect()).subtracted(bright))
         painter.fillRect(self.rect(), QColor(0, 0, 0, DIM))
         painter.restore()
+        if not self._cards.isEmpty():
+            painter.setClipRegion(QRegion(self.rect()).subtracted(QRegion(self._cards)))
         painter.setPen(QPen(self._theme.tokens.colour("focus"), 3))
         painter.drawRect(self.hole.adjusted(-1, -1, 1, 1))
 
@@ -106,14 +109,16 @@ class TourCard(QFrame):
         self.raise_()
         self.next.setFocus()
 
-    def fit(self, hole: QRect) -> None:
-        """Stand beside the lit rectangle, inside of the window."""
+    def fit(self, hole: QRect, top: int = 0) -> None:
+        """Stand beside the lit rectangle, inside of the window and below ``top`` of it."""
         em = self.fontMetrics().height()
         width = min(24 * em, self._window.width() - 2 * MARGIN_PX)
         self.setFixedWidth(width)
         high = max(self.heightForWidth(width), self.minimumSizeHint().height())
         self.resize(width, high)
-        self.move(beside(hole, self.size(), self._window.rect()))
+        corner = beside(hole, self.size(), self._window.rect())
+        lowest = self._window.height() - high - MARGIN_PX
+        self.move(corner.x(), min(max(corner.y(), top + MARGIN_PX if top else 0), lowest))
 
     def event(self, event: QEvent) -> bool:
         """Keep Enter and Esc from the shortcuts of the page below: here they are its own."""

@@ -43,6 +43,15 @@ def test_it_is_in_nobodys_way_and_esc_ends_it(live, bench):
     assert bench.stops == 1
     settle(live)
     assert live.tour.active
+    QApplication.processEvents()
+    cards = QRect(live.cards.mapTo(live.window, QPoint(0, 0)), live.cards.size())
+    assert live.cards.isVisible()
+    assert not live.tour.card.geometry().intersects(cards)
+    live.reset()
+    settle(live)
+    QApplication.processEvents()
+    assert not live.cards.isVisible()
+    assert live.tour.card.y() < cards.bottom()
     while live.window.front != "train":
         live.tour.turn(1)
     # On this page Esc cancels a training; the tour comes first.

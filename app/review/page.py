@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QKeyEvent, QResizeEvent
+from PySide6.QtGui import QKeyEvent, QPainter, QPaintEvent, QPalette, QResizeEvent
 from PySide6.QtWidgets import (
     QComboBox,
     QHBoxLayout,
@@ -41,6 +41,7 @@ ORDERS = (
 )
 STORY_PX = 82
 """What happened shows three lines at the least size of the window."""
+NOTHING_FLAGS = Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap
 FILM_SHARE = 0.18
 """Share of the page's height that a picture may take: a taller one would lose its lower edge."""
 FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
@@ -64,12 +65,22 @@ class ReviewIntents:
 
 
 class QuietList(QListWidget):
-    """A list that leaves letters and Space to its page."""
+    """A list that leaves letters and Space to its page. ``nothing`` stands in it while empty."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, nothing: str = "") -> None:
         super().__init__()
+        self._nothing = nothing
         self.setAccessibleName(name)
         WrappedItems(self)
+
+    def paintEvent(self, event: QPaintEvent) -> None:
+        """Draw the lines, or why there is none."""
+        super().paintEvent(event)
+        if self.count() == 0 and self._nothing:
+            painter = QPainter(self.viewport())
+            painter.setPen(self.palette().color(QPalette.ColorRole.PlaceholderText))
+            where = self.viewport().rect().adjusted(8, 8, -8, -8)
+            painter.drawText(where, NOTHING_FLAGS, self._nothing)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Keep only what moves the choice."""
@@ -89,7 +100,7 @@ class ReviewPage(QWidget):
         self._intents = intents
         self.runs = RecordingList(theme, "Recorded runs", intents.choose_recording)
         self.trials = QuietList("Trials of the run")
-        self.story = QuietList("What happened")
+        self.story = QuietList("What happened", "No steps: a run tells them, a series does not.")
         self.kind, self.order, self.filter = QComboBox(), QComboBox(), QLineEdit()
         self.refresh, self.experiments = QToolButton(), QToolButton()
         self.empty = label("", "muted", wrap=True)

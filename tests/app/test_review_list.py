@@ -309,3 +309,15 @@ def test_a_long_list_paints_and_measures_only_what_is_in_sight(qapp, qtbot, monk
     view.choose(5)
     assert (picked, view.current) == ([1396], 5)
     assert view.shown()[0].detail == "barrel"
+
+
+def test_a_list_without_lines_says_why_and_falls_silent_with_the_first(qtbot):
+    said, silent = QuietList("Steps", "No steps are told."), QuietList("Steps")
+    for one in (said, silent):
+        qtbot.addWidget(one)
+        one.resize(240, 80)
+    empty = said.viewport().grab().toImage()
+    assert empty != silent.viewport().grab().toImage()
+    for one in (said, silent):
+        one.addItem("Probe 1")
+    assert said.viewport().grab().toImage() == silent.viewport().grab().toImage()

@@ -47,6 +47,7 @@ class SampleClock:
 
     def __init__(self, period_s: float, late_s: float) -> None:
         self._nominal_s, self._late_s = period_s, max(late_s, 3.0 * period_s)
+        self._usual_s = period_s
         self._period_s, self._offset_s = period_s, 0.0
         self._chunks: deque[tuple[int, float]] = deque(maxlen=CHUNKS)
         self._chunk = -1
@@ -100,6 +101,12 @@ class SampleClock:
         numbers, arrivals_s = map(np.array, zip(*self._chunks, strict=True))
         if (numbers[-1] - numbers[0]) * self._nominal_s >= FIT_S:
             fitted_s = _edge(numbers, arrivals_s)
+            if OTHER_RATE * fitted_s < self._nominal_s:
+                # It was slow for a while, and is no longer: the line begins anew.
+                self._nominal_s = self._period_s = self._usual_s
+                self._offset_s = float(arrivals_s[-1] - self._usual_s * numbers[-1])
+                self._chunks.clear()
+                return
             most_s = MOST_OFF * self._nominal_s
             self._period_s = float(
                 np.clip(fitted_s, self._nominal_s - most_s, self._nominal_s + most_s)

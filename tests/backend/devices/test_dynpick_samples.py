@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from backend.config.hardware import ForceTorqueSettings, HardwareSettings
+from backend.devices.degraded import Rate
 from backend.devices.force_torque.dynpick import PERIOD_S, DynpickLanguage
 from backend.devices.force_torque.readout import Readout
+from backend.emulators.dynpick import EmulatedDynpick
+from backend.emulators.faults import Faults
 from backend.wire.dynpick import Record, encode_record
 
 ZERO = 0x2000
@@ -102,3 +105,29 @@ def test_mounting_and_sign_turn_force_and_torque():
     content = encode_record(Record(0, (ZERO + 100, ZERO, ZERO, ZERO + 100, ZERO, ZERO)))
     _, values = samples(rotation=quarter, sign=-1).accept(1.0, content)
     assert values[0] == pytest.approx([0.0, -1.0, 0.0, 0.0, -0.1, 0.0])
+
+
+def test_an_emulated_sensor_that_slows_down_is_slow_and_not_silent_and_gets_its_pace_back():
+    faults, now_s = Faults("force_torque"), 0.0
+    faults.begin(now_s)
+    rng = np.random.default_rng(4)
+    sensor = EmulatedDynpick(lambda now_s: (0.0, 0.0, rng.normal(-10.0, 0.1), 0.0, 0.0, 0.0))
+    sensor.pace.faults = faults
+    sensor.receive(now_s, b"S")
+    made, rate, oldest_s = samples(), Rate(), 0.0
+
+    def deliver(seconds):
+        nonlocal now_s, oldest_s
+        for _ in range(round(100 * seconds)):
+            now_s += 0.01
+            stamps_s, _ = made.accept(now_s, sensor.due(now_s))
+            rate.note(float(stamps_s[-1]), len(stamps_s), lambda: 1.0 / PERIOD_S)
+            oldest_s = max(oldest_s, now_s - float(stamps_s[-1]))
+        return rate.slow_since_s
+
+    assert deliver(1.5) is None
+    faults.inject(now_s, "slow", 2.5, hz=450.0)
+    assert deliver(2.5) == pytest.approx(1.5, abs=0.6)
+    assert deliver(6.0) is None
+    assert made.readout._clock.period_s == pytest.approx(PERIOD_S, rel=1e-3)
+    assert oldest_s < 0.3, "no fault: it was never silent"

@@ -75,6 +75,7 @@ QFrame[role="card"][armed="yes"] {{ border: 3px solid {focus}; }}
 QPushButton[role="hold"][chosen="yes"] {{ border: 3px solid {focus}; }}
 
 QComboBox, QAbstractSpinBox, QLineEdit {{ background: {bg}; color: {text};
+    placeholder-text-color: {muted};
     border: 1px solid {border}; border-radius: 5px; padding: 3px 8px; min-height: 24px;
     selection-background-color: {selection}; selection-color: {selection_text}; }}
 QComboBox:disabled, QAbstractSpinBox:disabled, QLineEdit:disabled {{ color: {muted};
@@ -133,6 +134,7 @@ QScrollBar::handle {{ background: {border}; border-radius: 4px;
 QScrollBar::add-line, QScrollBar::sub-line {{ width: 0; height: 0; }}
 QScrollBar::add-page, QScrollBar::sub-page {{ background: transparent; }}
 QListWidget, QPlainTextEdit, QTableWidget {{ background: {bg}; color: {text};
+    placeholder-text-color: {muted};
     border: 1px solid {hairline}; border-radius: 5px; selection-background-color: {selection};
     selection-color: {selection_text}; }}
 QHeaderView::section {{ background: {panel}; color: {muted}; border: none;

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PySide6.QtGui import QColor
-from PySide6.QtWidgets import QComboBox, QLineEdit, QPushButton, QSpinBox
+from PySide6.QtGui import QColor, QPalette
+from PySide6.QtWidgets import QComboBox, QLineEdit, QListWidget, QPushButton, QSpinBox
 
 from widgets.arrows import BIN_COLOURS
 from widgets.scene_shot import LOOKS
@@ -159,6 +159,18 @@ def test_in_high_contrast_a_disabled_control_has_a_broken_frame(qapp, qtbot, kin
     assert share() == 1.0
     control.setEnabled(False)
     assert 0.2 < share() < 0.9
+
+
+@pytest.mark.parametrize("kind", [QComboBox, QLineEdit, QListWidget])
+@pytest.mark.parametrize("tokens", THEMES, ids=IDS)
+def test_hints_in_empty_fields_and_lists_can_be_read(qapp, qtbot, kind, tokens):
+    field = kind()
+    qtbot.addWidget(field)
+    field.setStyleSheet(style_sheet(tokens.as_dict(), 10.0))
+    field.ensurePolished()
+    hint = field.palette().color(QPalette.ColorRole.PlaceholderText)
+    assert hint.alpha() == 255
+    assert contrast_ratio(hint, QColor(tokens.bg)) >= 4.5
 
 
 @pytest.mark.parametrize("tokens", THEMES, ids=IDS)

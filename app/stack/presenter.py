@@ -124,6 +124,10 @@ class StackPresenter:
         """Show what changed, one part of the page a call: Qt lays out and paints each anew."""
         status = self._link.status()
         self._draw_buttons(status)
+        if status.awaiting is not None and self._shown_versions[0] != self.story.version:
+            # Whoever is asked sees what is asked about, however late the other parts come.
+            self._shown_versions[0] = self.story.version
+            self._draw_decision()
         self._draw_question(status)
         if status.state is not self._state:
             self._state = status.state
@@ -159,7 +163,7 @@ class StackPresenter:
     def _draw_question(self, status: RunStatus) -> None:
         asking, button = "", "Approve  A"
         self._page.decision.keep_room(self._page.run.form().mode != "auto")
-        if status.awaiting is not None:
+        if status.awaiting is not None and self._has_heard(status):
             kind = status.awaiting.kind
             asking = {"release": "Release here?", "shift": "Take this step?"}.get(kind, "Go on?")
             if self._page.run.form().mode == "step":
@@ -167,6 +171,13 @@ class StackPresenter:
         if asking != self._asking:
             self._asking = asking
             self._page.decision.show_question(asking, button)
+
+    def _has_heard(self, status: RunStatus) -> bool:
+        """Whether the decision on the newest estimate has come: facts are behind the status."""
+        trial = self.story.trial
+        newest = trial.probes[-1] if trial is not None and trial.probes else None
+        decided = newest is not None and newest.action is not None
+        return not status.felt or (decided and newest is not None and newest.probe >= status.felt)
 
     def _shown_trial(self) -> TrialStory | None:
         """Return the newest trial; until it has a map, the one before stays with its outcome."""

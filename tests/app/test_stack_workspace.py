@@ -235,6 +235,21 @@ def test_approval_is_asked_and_given_by_key(live, bench, key, mode):
     assert bench.answers == [True]
 
 
+def test_a_question_never_stands_beside_the_decision_before(live, bench):
+    decision = live.workspaces["stack"].page.decision
+    told(live, bench)
+    assert "2.2 mm" not in decision.accessibleDescription()
+    bench.set_state(RunState.RUNNING, awaiting=action((2.0, 1.0), 2.2), felt=3)
+    settle(live)
+    assert not decision.approve.isVisible(), "what is asked about has not been told yet"
+    bench.tell_probe(3, (2.0, 1.0), 2.2)
+    for _ in range(12):
+        if not decision.approve.isVisible():
+            live.pump.tick()
+    assert decision.approve.isVisible()
+    assert "+2.2 mm" in decision.accessibleDescription()
+
+
 def test_declining(live, bench):
     bench.set_state(RunState.RUNNING, awaiting=action((4.4, 1.9), -1.1))
     settle(live)

@@ -37,6 +37,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.arm_rig",
     "tests.bench.faults",
     "tests.bench.wired",
+    "tests.bench.operators_day",
     "tests.bench.wired_parts",
 )
 """Modules that register figures, in the order of the table."""

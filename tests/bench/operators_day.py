@@ -1,0 +1,164 @@
+"""The operator's day over the emulated bench: drivers, sockets, terminals and pipes, in real time.
+
+Jog, probe, collect, label, train, stack, review, each through the functions behind the window. On
+a busy computer the wires lose time: what a link fault ended is begun again after Reset, as the
+operator would, and counted.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from backend.assembly import SimulatedBenchChoice
+from backend.catalogue.dataset import Dataset
+from backend.core.facts import Fact, ProbeCollected, RunFinished, TrialFinished
+from backend.core.faults import FaultError, RefusedError, StaleSampleError
+from backend.devices.jog import JogOrder
+from backend.emulated import EmulatedBench
+from backend.learning.training_runs import training_runs
+from backend.runs.campaign import newest_campaign
+from backend.runs.journal import read_journal
+from backend.runs.requests import CollectRequest, ProbeRequest, Request, SceneChoice, StackRequest
+from backend.session import Keep
+from tests.bench.registry import Figure, figure
+
+PROBES, TRIES = 4, 8
+SETTLE_S = 1.5
+"""The sensors begin to deliver."""
+JOG_MM_S, JOG_S, LEAST_MM = 10.0, 0.5, 1.0
+PERSON = "bench"
+TINY = ("--labels", "submitted", "--divide-series", "--epochs", "1")
+
+
+class Day:
+    """One day in ``folder``; each part returns whether it held."""
+
+    def __init__(self, folder: Path, bench: EmulatedBench, dataset: Dataset) -> None:
+        self.folder, self.bench, self.session, self.dataset = folder, bench, bench.session, dataset
+        self.facts: list[Fact] = []
+        self.again = self.presses = 0
+        self.session.hub.subscribe(self.facts.append)
+
+    def parts(self) -> tuple[Callable[[], bool], ...]:
+        return (
+            *(self.connect, self.jog, self.probe, self.collect),
+            *(self.label, self.train, self.stack, self.review),
+        )
+
+    def connect(self) -> bool:
+        return self.tried(lambda: self.session.prepare(SceneChoice("pot", ("circle15",), 3))) and (
+            self.session.hand is not None
+        )
+
+    def jog(self) -> bool:
+        """Hold the pad that rises."""
+
+        def hold() -> None:
+            session, hand = self.session, self.session.hand
+            assert hand is not None
+            begin_s = session.clock_s()
+            while session.clock_s() < begin_s + SETTLE_S:
+                session.advance()
+            before_mm = session.devices["arm"].pose(1.0).z_mm
+            self.presses += 1
+            end_s, sequence = session.clock_s() + JOG_S, 0
+            while session.clock_s() < end_s:
+                now_s, sequence = session.clock_s(), sequence + 1
+                hand.jog.renew(JogOrder(self.presses, sequence, now_s, "z", "XYZ", JOG_MM_S))
+                session.advance()
+            hand.jog.end(self.presses)
+            risen_mm.append(session.devices["arm"].pose(1.0).z_mm - before_mm)
+
+        risen_mm: list[float] = []
+        return self.tried(hold) and risen_mm[-1] >= LEAST_MM
+
+    def probe(self) -> bool:
+        return self.run(ProbeRequest())
+
+    def collect(self) -> bool:
+        self.session.dataset = self.dataset
+        asked = CollectRequest(count=PROBES, person=PERSON, seed=3, probes_per_grip=2)
+
+        def request() -> Request:
+            found = newest_campaign(self.dataset.folder)
+            return CollectRequest(campaign=found, person=PERSON) if found else asked
+
+        ended = self.run(request)
+        told = [fact.uuid for fact in self.facts if isinstance(fact, ProbeCollected)]
+        kept = {entry.uuid for entry in self.dataset.episodes()}
+        return ended and len(kept) >= PROBES and set(told) <= kept
+
+    def label(self) -> bool:
+        for entry in self.dataset.episodes():
+            self.dataset.labels.accept(PERSON, entry.uuid)
+        return all(
+            self.dataset.labels.head(entry.uuid).state == "submitted"
+            for entry in self.dataset.episodes()
+        )
+
+    def train(self) -> bool:
+        """A tiny model of what was collected, in a process of its own."""
+        self.session.dataset = None
+        data, out = self.dataset.folder, self.folder / "tiny.safetensors"
+        words = ["train", data, "--out", out, *TINY]
+        done = subprocess.run(
+            [sys.executable, "-m", "backend", *map(str, words)], capture_output=True, check=False
+        )
+        return done.returncode == 0 and out.is_file() and bool(training_runs(data))
+
+    def stack(self) -> bool:
+        return self.run(StackRequest("pot", ("short",), 301))
+
+    def review(self) -> bool:
+        """What the newest run wrote is read again as it was told."""
+        folder = self.session.run_folder
+        told = [fact for fact in self.facts if isinstance(fact, TrialFinished)]
+        assert folder is not None
+        read = [fact for fact in read_journal(folder) if isinstance(fact, TrialFinished)]
+        return bool(read) and read[-1].outcome is told[-1].outcome
+
+    def run(self, request: Request | Callable[[], Request]) -> bool:
+        def once() -> None:
+            self.session.run(request() if callable(request) else request)
+
+        held = self.tried(once)
+        return held and [f for f in self.facts if isinstance(f, RunFinished)][-1].ending == (
+            "finished"
+        )
+
+    def tried(self, act: Callable[[], None]) -> bool:
+        """Act; after a fault of a link once more, from Reset and a new scene on."""
+        for _ in range(TRIES):
+            try:
+                act()
+                if not self.session.interlock.latched:
+                    return True
+            except (FaultError, RefusedError, StaleSampleError):
+                pass
+            self.again += 1
+            self.session.reset()
+            try:
+                self.session.prepare(SceneChoice("pot", ("circle15",), 3))
+            except FaultError:
+                continue
+        return False
+
+
+@figure("wired")
+def operators_day_over_wires() -> list[Figure]:
+    """Which parts of the day did not hold, and what had to be begun again."""
+    with (
+        tempfile.TemporaryDirectory() as name,
+        Dataset.open(Path(name) / "ds", person=PERSON) as dataset,
+        EmulatedBench(SimulatedBenchChoice(), keep=Keep(Path(name) / "runs")) as bench,
+    ):
+        day = Day(Path(name), bench, dataset)
+        missed = [part.__name__ for part in day.parts() if not part()]
+    note = f"{', '.join(missed)}; " if missed else ""
+    note += f"{day.again} times a link fault ended something, which was begun again"
+    told = "operator's day over the wires: parts that did not hold"
+    return [Figure(told, len(missed), "of 8", "0", not missed, note)]

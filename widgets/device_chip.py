@@ -16,7 +16,7 @@ ChipState = Literal["ready", "connecting", "degraded", "stale", "fault", "closed
 _LOOK: dict[ChipState, tuple[Shape, Colour]] = {
     "ready": ("disc", "green"),
     "connecting": ("ring", "blue"),
-    "degraded": ("bang", "yellow"),
+    "degraded": ("triangle", "yellow"),
     "stale": ("triangle", "yellow"),
     "fault": ("square", "red"),
     "closed": ("ring", "grey"),

@@ -18,6 +18,7 @@ from tests.backend.devices.trials import Ended
 from tests.backend.runs.test_collect_faults import Failing
 
 COUNT, TRIES = 2, 4
+SLOW_HZ = {"force_torque": 300.0, "tactile_left": 10.0, "tactile_right": 10.0}
 FAULTS = tuple((device, kind) for device, kinds in KINDS.items() for kind in kinds)
 
 
@@ -33,7 +34,9 @@ class _AnyTime(Failing):
         if self._when is not None and phases == self._when[0]:
             _, after_s, what = self._when
             begins_s = fact.t_s + after_s
-            script = Script((Disturbance(what.device, what.kind, begins_s, what.length_s),))
+            rate_hz = SLOW_HZ[what.device] if what.kind == "slow" else None
+            fault = Disturbance(what.device, what.kind, begins_s, what.length_s, rate_hz)
+            script = Script((fault,))
             bench = self.session._scene.stage.advance.__self__
             for part in (bench, bench._world, *bench.tactile.values()):
                 part._script = script

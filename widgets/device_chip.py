@@ -69,7 +69,11 @@ class DeviceChip(QWidget):
         if not self.short:
             lost = name.horizontalAdvance("  10 lost") if "actile" in self._name else 0
             width = max(figures.horizontalAdvance("1000 Hz, 00 ms"), width + lost)
-        return QSize(width + 32, 2 * figures.height() + 8)
+        return QSize(width + self._left_px() + 10, 2 * figures.height() + 8)
+
+    def _left_px(self) -> int:
+        """Return where the words begin: the mark before them grows with the text."""
+        return round(12 + 10 * max(self._theme.scale, 1.0))
 
     def minimumSizeHint(self) -> QSize:
         """Return the size hint: the bar, not the chip, decides what to leave out."""
@@ -109,23 +113,25 @@ class DeviceChip(QWidget):
         mark = t.colour("good") if colour == "green" else t.colour(f"pill_{colour}")
         if colour in ("grey", "blue") or (colour == "yellow" and t.name == "light"):
             mark = t.colour("muted" if colour == "grey" else "text")
-        draw_shape(painter, shape, QPointF(13, self.height() / 2), mark, 5)
+        size = (self._left_px() - 12) / 2
+        draw_shape(painter, shape, QPointF(8 + size, self.height() / 2), mark, size)
         self._draw_text(painter)
 
     def _draw_text(self, painter: QPainter) -> None:
         t = self._theme.tokens
-        middle, width = self.height() / 2, self.width() - 26
+        left = self._left_px()
+        middle, width = self.height() / 2, self.width() - left - 4
         painter.setPen(t.colour("text"))
         painter.setFont(ui_font(self._theme.scale, 0.86, 600))
         low = int(Qt.AlignmentFlag.AlignBottom)
         if self.short:
-            painter.drawText(QRectF(22, 0, width, self.height()),
+            painter.drawText(QRectF(left, 0, width, self.height()),
                              int(Qt.AlignmentFlag.AlignVCenter), self._name)  # fmt: skip
             return
-        painter.drawText(QRectF(22, 3, width, middle - 2), low, self._name)
+        painter.drawText(QRectF(left, 3, width, middle - 2), low, self._name)
         if self.value.lost:
             painter.setFont(ui_font(self._theme.scale, 0.8, 500))
-            painter.drawText(QRectF(22, 3, width - 4, middle - 2),
+            painter.drawText(QRectF(left, 3, width - 4, middle - 2),
                              low | int(Qt.AlignmentFlag.AlignRight),
                              f"{self.value.lost} lost")  # fmt: skip
         painter.setPen(t.colour("muted"))
@@ -133,5 +139,5 @@ class DeviceChip(QWidget):
         detail = painter.fontMetrics().elidedText(
             self.value.detail, Qt.TextElideMode.ElideRight, int(width)
         )
-        painter.drawText(QRectF(22, middle, width, middle - 3), int(Qt.AlignmentFlag.AlignTop),
+        painter.drawText(QRectF(left, middle, width, middle - 3), int(Qt.AlignmentFlag.AlignTop),
                          detail)  # fmt: skip

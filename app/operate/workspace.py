@@ -50,6 +50,7 @@ class OperateWorkspace(Workspace):
         self.page = OperatePage(self._desk.theme, intents)
         yield
         yield from self.page.build(PACES, PHASES)
+        self.page.belief.show_scene(NO_RUN)
         self.columns = self.pieces = self.page.columns
         self.keys = JogKeys(self.page, self.page.jog)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from PySide6.QtWidgets import QFileDialog
 
 from app.calibrate.presenter import CalibratePresenter
+from app.connect.devices import DevicesPresenter
 from app.connect.presenter import ConnectPresenter
 from backend.calibration.store import CalibrationStore
 from backend.config.bench_facts import BenchFacts
@@ -45,6 +46,25 @@ PAYLOAD = CalibrationMeasured(
     residuals=(0.05, 0.08, 0.11, 0.06, 0.09, 0.07), residual=0.11, limit=0.3, unit="N",
     note="The hand was turned to six attitudes.", obstacle="",
 )  # fmt: skip
+LAB = """\
+version = 1
+name = "Bench 2"
+kind = "hardware"
+
+[melfa]
+host = "192.168.0.20"
+
+[wsg]
+host = "192.168.0.30"
+
+[ft]
+driver = "dynpick"
+address = "/dev/serial/by-id/usb-FTDI_FT232R_AB0L1XYZ-if00-port0"
+
+[gelsight]
+left = { serial = "2D8Y-69GR" }
+right = { serial = "2D8Y-70GT" }
+"""
 FULL = Fault("DISK-FULL", "Only 0.42 GB are free on the disk of the dataset.", CONSEQUENCE,
              NEXT_STEP)  # fmt: skip
 
@@ -214,6 +234,7 @@ def in_large_text(stage: Stage, percent: int) -> Iterator[str]:
     main.workspaces["collect"].page.show_half("collect")
     main.go("review")
     yield from _report(stage, f"text-{percent}-report", (0, 3))
+    yield from _devices(stage, stage.folder / "lab.toml", f"text-{percent}-devices")
 
 
 def _report(stage: Stage, name: str, rows: tuple[int, ...]) -> Iterator[str]:
@@ -246,6 +267,7 @@ def sheets(stage: Stage, folder: Path) -> Iterator[str]:
     yield "connect-failed"
     panel.sheet.close()
     connection.close()
+    yield from _devices(stage, folder / "lab.toml", "connect-devices")
     bench.name, bench.facts = "", facts
     main.actions.action("limits").trigger()
     yield "limits"
@@ -267,6 +289,19 @@ def sheets(stage: Stage, folder: Path) -> Iterator[str]:
     yield "calibrate-board"
     wizard.sheet.close()
     bench.calibrations = None
+
+
+def _devices(stage: Stage, file: Path, name: str) -> Iterator[str]:
+    """The device wizard of a lab file."""
+    bench = stage.bench
+    source, bench.limits_source = bench.limits_source, str(file)
+    file.write_text(LAB, "utf-8")
+    chosen = DevicesPresenter(bench, stage.main.window)
+    chosen.open()
+    yield name
+    assert chosen.sheet is not None
+    chosen.sheet.close()
+    bench.limits_source = source
 
 
 def pauses(stage: Stage) -> Iterator[str]:

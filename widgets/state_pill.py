@@ -66,7 +66,11 @@ class StatePill(QWidget):
         note = QFontMetrics(ui_font(self._theme.scale, 0.78))
         width = max(word.horizontalAdvance(w) for w in (self.state.word, "CANCELLING"))
         width = max(width, note.horizontalAdvance("simulated, reference"))
-        return QSize(width + 52, 2 * note.height() + 8)
+        return QSize(width + self._left_px() + 16, 2 * note.height() + 8)
+
+    def _left_px(self) -> int:
+        """Return where the words begin: the mark before them grows with the text."""
+        return round(24 + 12 * max(self._theme.scale, 1.0))
 
     def paintEvent(self, _event: QPaintEvent) -> None:
         """Draw box, shape and word."""
@@ -77,16 +81,18 @@ class StatePill(QWidget):
         painter.setPen(QPen(t.colour("border"), 1))
         painter.setBrush(t.colour(f"pill_{self.state.colour}"))
         painter.drawRoundedRect(QRectF(self.rect()).adjusted(0.5, 0.5, -0.5, -0.5), 6, 6)
-        draw_shape(painter, self.state.shape, QPointF(20, self.height() / 2), ink)
+        left = self._left_px()
+        size = (left - 24) / 2
+        draw_shape(painter, self.state.shape, QPointF(14 + size, self.height() / 2), ink, size)
         painter.setPen(ink)
         painter.setFont(ui_font(self._theme.scale, 1.0, 600))
         middle = self.height() / 2 if self.state.note else self.height()
-        box = QRectF(36, 0, self.width() - 40, middle + 3 * bool(self.state.note))
+        box = QRectF(left, 0, self.width() - left - 4, middle + 3 * bool(self.state.note))
         low, centre = Qt.AlignmentFlag.AlignBottom, Qt.AlignmentFlag.AlignVCenter
         painter.drawText(box, int(low if self.state.note else centre), self.state.word)
         if self.state.note:
             painter.setFont(ui_font(self._theme.scale, 0.78))
-            box = QRectF(36, middle + 1, self.width() - 40, middle)
+            box = QRectF(left, middle + 1, self.width() - left - 4, middle)
             painter.drawText(box, int(Qt.AlignmentFlag.AlignTop), self.state.note)
 
 

@@ -14,20 +14,21 @@ from backend.config.lab_edit import save_lab
 from backend.core.faults import InputError
 
 LEFT, RIGHT = "gelsight.left.serial", "gelsight.right.serial"
+ANY = "any"
 FIELDS = (
     DeviceField("ft.driver", "F/T", "Make", chosen=True),
     DeviceField("ft.address", "F/T", "Port or address", chosen=True),
-    DeviceField("serials.force_torque", "F/T", "Number that must answer"),
+    DeviceField("serials.force_torque", "F/T", "Number that must answer", empty=ANY),
     DeviceField(LEFT, "Tactile L", "Number on the sensor", chosen=True),
     DeviceField(RIGHT, "Tactile R", "Number on the sensor", chosen=True),
     DeviceField("wsg.driver", "Gripper", "Make", chosen=True),
     DeviceField("wsg.host", "Gripper", "Address"),
     DeviceField("wsg.port", "Gripper", "Port"),
-    DeviceField("serials.gripper", "Gripper", "Number that must answer"),
+    DeviceField("serials.gripper", "Gripper", "Number that must answer", empty=ANY),
     DeviceField("melfa.driver", "Arm", "Make", chosen=True),
     DeviceField("melfa.host", "Arm", "Address"),
     DeviceField("melfa.r3.port", "Arm", "Port of the commands"),
-    DeviceField("serials.arm", "Arm", "Number that must answer"),
+    DeviceField("serials.arm", "Arm", "Number that must answer", empty=ANY),
 )
 
 

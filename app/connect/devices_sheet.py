@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from PySide6.QtCore import QSize, Qt
+from PySide6.QtGui import QShowEvent
 from PySide6.QtWidgets import (
     QComboBox,
     QDialog,
@@ -12,6 +14,7 @@ from PySide6.QtWidgets import (
     QHBoxLayout,
     QLineEdit,
     QPushButton,
+    QScrollArea,
     QVBoxLayout,
     QWidget,
 )
@@ -24,12 +27,14 @@ class DeviceField:
     """One value of the file: its dotted key, the device it belongs to, what it is called.
 
     ``chosen``: there is something to choose from; what is not in sight can be typed as well.
+    ``empty``: what it means to leave it empty.
     """
 
     key: str
     device: str
     title: str
     chosen: bool = False
+    empty: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +56,7 @@ class DevicesSheet(QDialog):
         self.setModal(False)
         self.setWindowTitle("Devices")
         self.source, self.said = label("", wrap=True), label("", wrap=True)
+        self._form = QWidget()
         self.editors: dict[str, QComboBox | QLineEdit] = {}
         self.look, self.swap = QPushButton("Look again"), QPushButton("Exchange left and right")
         self.save, self._close = QPushButton("Save"), QPushButton("Close")
@@ -62,7 +68,7 @@ class DevicesSheet(QDialog):
         self.swap.clicked.connect(intents.swap)
         self.save.clicked.connect(intents.save)
         self._close.clicked.connect(self.close)
-        self._arrange(fields)
+        self._arrange(parent, fields)
 
     def values(self) -> dict[str, str]:
         """Return what stands in the form, by key."""
@@ -92,9 +98,14 @@ class DevicesSheet(QDialog):
         self.said.setText(text)
         set_property(self.said, "tone", "bad" if bad else "")
 
+    def showEvent(self, event: QShowEvent) -> None:
+        """Keep the rows as high as their text wants: a scrolled form else squeezes them first."""
+        super().showEvent(event)
+        self._form.setMinimumHeight(self._form.sizeHint().height())
+
     # -- inside -----------------------------------------------------------------------------------
 
-    def _arrange(self, fields: Sequence[DeviceField]) -> None:
+    def _arrange(self, parent: QWidget, fields: Sequence[DeviceField]) -> None:
         grid, device = QGridLayout(), ""
         grid.setHorizontalSpacing(16)
         grid.setVerticalSpacing(4)
@@ -104,6 +115,8 @@ class DevicesSheet(QDialog):
             if isinstance(editor, QComboBox):
                 editor.setEditable(True)
                 editor.setInsertPolicy(QComboBox.InsertPolicy.NoInsert)
+            else:
+                editor.setPlaceholderText(one.empty)
             editor.setAccessibleName(f"{one.device}: {one.title}")
             title = label(one.title, "muted")
             title.setBuddy(editor)
@@ -125,12 +138,23 @@ class DevicesSheet(QDialog):
         column.addWidget(label("Devices of this bench", "head"))
         column.addWidget(self.source)
         column.addWidget(rule())
-        column.addLayout(grid)
+        column.addWidget(self._scrolled(grid), 1)
         column.addWidget(self.said)
-        column.addStretch(1)
         column.addWidget(rule())
         column.addLayout(foot)
-        self.setMinimumWidth(48 * self.fontMetrics().height())
+        em = self.fontMetrics().height()
+        self.resize(QSize(48 * em, 44 * em).boundedTo(parent.size()))
+
+    def _scrolled(self, grid: QGridLayout) -> QScrollArea:
+        """Return the form so that it fits small screens and large text."""
+        scroll = QScrollArea()
+        grid.setContentsMargins(0, 0, 0, 0)
+        self._form.setLayout(grid)
+        scroll.setWidget(self._form)
+        scroll.setWidgetResizable(True)
+        scroll.setFrameShape(QScrollArea.Shape.NoFrame)
+        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        return scroll
 
 
 def _text(editor: QComboBox | QLineEdit) -> str:

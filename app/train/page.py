@@ -59,6 +59,9 @@ class TrainPage(QWidget):
         self.differences.empty = "Choose up to three trainings (Ctrl+click): what differs"
         self.in_use = label("", "", wrap=True)
         self.promote, self.roll_back = QPushButton("Promote"), QPushButton("Roll back")
+        for button in (self.promote, self.roll_back):
+            # Until it is known which model is in use.
+            button.setEnabled(False)
         self.promote.setToolTip("Put the chosen model in use for its piece (Ctrl+P)")
         self.roll_back.setToolTip("Put the model before in use again (Ctrl+Shift+P)")
         self.promote.clicked.connect(intents.promote)

@@ -186,7 +186,7 @@ class WristTrial:
             "time goes back": bool(np.all(np.diff(run.t_s) > 0)),
             "stamped later than it came": run.t_s[-1] <= self.clock.now_s() + 1e-6,
             "the sensor was zeroed": not self._zeroed(),
-            "left streaming": fault == "unplug" or not self.sensor._pace.running,
+            "left streaming": fault == "unplug" or not self.sensor.pace.running,
         }
         during = (run.t_s > begun_s + 0.1) & (run.t_s < begun_s + LONG_S)
         if fault in ("freeze", "saturate"):

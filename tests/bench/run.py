@@ -31,6 +31,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.labelling_day",
     "tests.bench.collecting",
     "tests.bench.experiments",
+    "tests.bench.full_tables",
     "tests.bench.store_files",
     "tests.bench.queues",
     "tests.bench.arm",

@@ -29,7 +29,7 @@ from tests.bench.registry import Figure, figure
 PROBES, TRIES = 4, 8
 SETTLE_S = 1.5
 """The sensors begin to deliver."""
-JOG_MM_S, JOG_S, LEAST_MM = 10.0, 0.5, 1.0
+JOG_MM_S, JOG_S, LEAST_MM = 10.0, 1.0, 1.0
 PERSON = "bench"
 TINY = ("--labels", "submitted", "--divide-series", "--epochs", "1")
 

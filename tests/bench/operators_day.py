@@ -30,6 +30,7 @@ PROBES, TRIES = 4, 8
 SETTLE_S = 1.5
 """The sensors begin to deliver."""
 JOG_MM_S, JOG_S, LEAST_MM = 10.0, 1.0, 1.0
+"""Asked; near the surface, where the day begins, a jog goes at the speed of contact."""
 PERSON = "bench"
 TINY = ("--labels", "submitted", "--divide-series", "--epochs", "1")
 

@@ -14,8 +14,8 @@ from backend.core.faults import RefusedError
 from backend.core.flow import FloatArray, Pose
 from backend.core.turning import turn_of
 from backend.runs.bench import Bench
-from backend.runs.motions import MOVE_S, rest
-from backend.runs.plan import Checkpoint, Plan, motion_done
+from backend.runs.motions import go, rest, zero_wrench
+from backend.runs.plan import Checkpoint, Plan
 from backend.runs.requests import CalibrateRequest
 
 RAISE_MM = 60.0
@@ -53,24 +53,21 @@ def _weighed(bench: Bench) -> Plan[tuple[FloatArray, FloatArray]]:
     """Return turns (6, 3, 3) and mean untared wrenches (6, 6); refused while a piece is held."""
     if bench.gripper.status().holding:
         raise RefusedError("HOLDING", "A piece is held: put it away, the gripper is weighed empty.")
-    yield from rest(bench, SETTLE_S)
     # What leaning changes must not look like a contact.
-    bench.sensing.zero_wrench(bench.now_s())
+    yield from zero_wrench(bench)
     here = bench.arm.pose(max_age_s=0.2)
     turns, wrenches = [], []
     for at, place in enumerate(_poses(here, rotates=bench.arm.rotates)):
         yield Checkpoint()
         yield Progress(bench.now_s(), at, POSES, f"pose {at + 1} of {POSES}")
         yield PhaseEntered(bench.now_s(), "shift", 0)
-        motion = bench.arm.move_to(place, bench.settings.probe.travel_mm_s)
-        yield from motion_done(motion, MOVE_S, "the hand to lean")
+        yield from go(bench, place, "the hand to lean")
         yield from rest(bench, SETTLE_S + WEIGH_S)
         turns.append(turn_of(bench.arm.pose(max_age_s=0.2)))
         wrenches.append(_mean(bench))
     yield Progress(bench.now_s(), POSES, POSES, "back to level")
     high = Pose(here.x_mm, here.y_mm, here.z_mm + RAISE_MM)
-    back = bench.arm.move_to(high, bench.settings.probe.travel_mm_s)
-    yield from motion_done(back, MOVE_S, "the hand to level")
+    yield from go(bench, high, "the hand to level")
     return np.stack(turns), np.stack(wrenches)
 
 

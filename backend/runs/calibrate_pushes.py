@@ -17,8 +17,8 @@ from backend.runs import words
 from backend.runs.again import again_if_void
 from backend.runs.bench import Bench
 from backend.runs.jig import pick, put_back
-from backend.runs.motions import MOVE_S, zero_sensors
-from backend.runs.plan import Checkpoint, Plan, Waiting, motion_done
+from backend.runs.motions import MOVE_S, go, zero_sensors
+from backend.runs.plan import Checkpoint, Plan, Waiting
 from backend.runs.requests import CalibrateRequest
 from backend.runs.touching import find_height, rise_to
 
@@ -53,8 +53,7 @@ def _pushes(bench: Bench, request: CalibrateRequest) -> Plan[list[Push]]:
         yield Checkpoint()
         yield Progress(bench.now_s(), len(pushed), MOST, f"press at the rim, {side}")
         x_mm, y_mm = (origin + out_mm * _towards(side)).tolist()
-        motion = bench.arm.move_to(Pose(x_mm, y_mm, start_mm), bench.settings.probe.travel_mm_s)
-        yield from motion_done(motion, MOVE_S, "the arm to shift")
+        yield from go(bench, Pose(x_mm, y_mm, start_mm), "the arm to shift")
         push, after_void = partial(_push, bench, side), partial(_after_void, bench, start_mm)
         each = yield from again_if_void(bench, push, after_void)
         pushed.append(each)

@@ -38,9 +38,9 @@ from backend.runs.descents import place_over
 from backend.runs.gate import Decisions
 from backend.runs.jig import approach, handed, pick, put_back
 from backend.runs.judged import Felt
-from backend.runs.motions import MOVE_S, lift, rest
+from backend.runs.motions import go, lift, rest
 from backend.runs.origin_check import check_origin
-from backend.runs.plan import Checkpoint, Plan, Waiting, motion_done
+from backend.runs.plan import Checkpoint, Plan, Waiting
 from backend.runs.probe import press_once, scene_pictures
 from backend.runs.room import FULL, no_room, not_decided, refused_episode, room_awaited, saved
 from backend.sensing.episode import EpisodeLimits
@@ -238,8 +238,7 @@ class Collector:
         if first_mm is None:
             yield from approach(bench, place)
         else:
-            motion = bench.arm.move_to(place, probe.travel_mm_s)
-            yield from motion_done(motion, MOVE_S, "the arm to shift")
+            yield from go(bench, place, "the arm to shift")
         yield from self._settled(bench)
         felt = yield from press_once(bench, self._probes, np.array(wanted_mm))
         where = measured(felt.episode, origin, bench.settings.collect)

@@ -12,7 +12,7 @@ from backend.core.faults import Fault, FaultError, RefusedError
 from backend.core.flow import Pose
 from backend.devices.putting_back import JigEvidence
 from backend.runs.bench import Bench
-from backend.runs.motions import MOVE_S, rest, take_piece
+from backend.runs.motions import MOVE_S, go, rest, take_piece
 from backend.runs.plan import CancelledError, Plan, Waiting, motion_done
 from backend.sensing.tare import STANDARD_GRAVITY_M_S2
 
@@ -165,5 +165,4 @@ def _above(bench: Bench, jig: Pose) -> Pose:
 
 
 def _go(bench: Bench, place: Pose) -> Plan[None]:
-    motion = bench.arm.move_to(place, bench.settings.probe.travel_mm_s)
-    yield from motion_done(motion, MOVE_S, "the arm to arrive")
+    yield from go(bench, place, "the arm to arrive")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -21,6 +22,7 @@ REFERENCE_S = 5.0
 """A reference is tried again for this long; smears on single markers last up to 0.4 s."""
 GRIP_S = 5.0
 MOVE_S = 30.0
+"""Longer than any move takes at full speed; one in air may take longer by the override."""
 WRENCH_AGE_LIMIT_S = 0.015
 """At release the wrench is at most 1.5 control cycles of 10 ms older than the sensor makes it."""
 FRESH_S = 0.5
@@ -36,6 +38,12 @@ def rest(bench: Bench, seconds: float) -> Plan[None]:
     """Let ``seconds`` of bench time pass."""
     until_s = bench.now_s() + seconds
     yield Waiting(lambda: bench.now_s() >= until_s, seconds + 1.0, "a pause to end")
+
+
+def go(bench: Bench, place: Pose, what: str) -> Plan[None]:
+    """Move straight to ``place`` in air, as fast as the override lets it."""
+    motion = bench.arm.move_to(place, bench.settings.probe.travel_mm_s)
+    yield from motion_done(motion, MOVE_S / bench.interlock.override, what)
 
 
 def take_piece(bench: Bench) -> Plan[None]:
@@ -59,14 +67,32 @@ def zero_sensors(bench: Bench, probe: int) -> Plan[None]:
     yield PhaseEntered(bench.now_s(), "reference", probe)
     count = bench.settings.probe.reference_frames
     yield from rest(bench, SETTLE_S + count / 25.0)
+
+    def take() -> None:
+        bench.sensing.zero_wrench(bench.now_s())
+        bench.sensing.take_references(count)
+
+    try:
+        yield from _until_still(bench, take)
+    except (FaultError, RefusedError) as cause:
+        raise _no_reference(cause) from cause
+
+
+def zero_wrench(bench: Bench) -> Plan[None]:
+    """In air, at rest: take the tare alone; tried again as with the references."""
+    yield from rest(bench, SETTLE_S)
+    yield from _until_still(bench, lambda: bench.sensing.zero_wrench(bench.now_s()))
+
+
+def _until_still(bench: Bench, take: Callable[[], object]) -> Plan[None]:
+    """Take what the sensors read at rest; raises what refuses it after ``REFERENCE_S``."""
     give_up_s = bench.now_s() + REFERENCE_S
     while True:
         try:
-            bench.sensing.zero_wrench(bench.now_s())
-            bench.sensing.take_references(count)
-        except (FaultError, RefusedError) as cause:
+            take()
+        except (FaultError, RefusedError):
             if bench.now_s() >= give_up_s:
-                raise _no_reference(cause) from cause
+                raise
         else:
             return
         yield from rest(bench, 0.1)
@@ -91,8 +117,7 @@ def lift(bench: Bench, probe: int) -> Plan[None]:
     yield PhaseEntered(bench.now_s(), "lift", probe)
     here = bench.arm.pose(max_age_s=0.2)
     up = Pose(here.x_mm, here.y_mm, here.z_mm + bench.settings.probe.start_height_mm)
-    motion = bench.arm.move_to(up, bench.settings.probe.travel_mm_s)
-    yield from motion_done(motion, MOVE_S, "the arm to lift")
+    yield from go(bench, up, "the arm to lift")
 
 
 def shift(bench: Bench, step_mm: tuple[float, float], probe: int) -> Plan[None]:
@@ -100,8 +125,7 @@ def shift(bench: Bench, step_mm: tuple[float, float], probe: int) -> Plan[None]:
     yield PhaseEntered(bench.now_s(), "shift", probe)
     here = bench.arm.pose(max_age_s=0.2)
     there = Pose(here.x_mm + step_mm[0], here.y_mm + step_mm[1], here.z_mm)
-    motion = bench.arm.move_to(there, bench.settings.probe.travel_mm_s)
-    yield from motion_done(motion, MOVE_S, "the arm to shift")
+    yield from go(bench, there, "the arm to shift")
 
 
 def release(bench: Bench, judged: Judged, *, approved: bool) -> Plan[None]:
@@ -134,8 +158,7 @@ def open_and_rise(
     yield PhaseEntered(bench.now_s(), "rise", probe)
     here = bench.arm.pose(max_age_s=0.2)
     up = Pose(here.x_mm, here.y_mm, here.z_mm + settings.rise_mm)
-    motion = bench.arm.move_to(up, bench.settings.probe.travel_mm_s)
-    yield from motion_done(motion, MOVE_S, "the arm to rise")
+    yield from go(bench, up, "the arm to rise")
 
 
 def fresh_wrench(bench: Bench) -> Plan[None]:

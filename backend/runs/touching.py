@@ -15,8 +15,8 @@ from backend.runs import words
 from backend.runs.again import again_if_void
 from backend.runs.bench import Bench
 from backend.runs.jig import approach
-from backend.runs.motions import MOVE_S, rest
-from backend.runs.plan import Plan, Waiting, motion_done
+from backend.runs.motions import MOVE_S, go, rest
+from backend.runs.plan import Plan, Waiting
 
 SEARCH_MM = 3.0
 """An edge is looked for this far on both sides of where it should be."""
@@ -100,8 +100,7 @@ def rise_to(bench: Bench, start_mm: float) -> Plan[None]:
     yield PhaseEntered(bench.now_s(), "lift", 0)
     here = bench.arm.pose(max_age_s=0.2)
     up = Pose(here.x_mm, here.y_mm, start_mm)
-    motion = bench.arm.move_to(up, bench.settings.probe.travel_mm_s)
-    yield from motion_done(motion, MOVE_S, "the arm to lift")
+    yield from go(bench, up, "the arm to lift")
 
 
 def _touched_mm(
@@ -109,8 +108,7 @@ def _touched_mm(
 ) -> Plan[float | None]:
     probe = bench.settings.probe
     x_mm, y_mm = place.tolist()
-    motion = bench.arm.move_to(Pose(x_mm, y_mm, start_mm), probe.travel_mm_s)
-    yield from motion_done(motion, MOVE_S, "the arm to shift")
+    yield from go(bench, Pose(x_mm, y_mm, start_mm), "the arm to shift")
     yield from rest(bench, SETTLE_S)
     yield PhaseEntered(bench.now_s(), "approach", 0)
     press = bench.arm.press(

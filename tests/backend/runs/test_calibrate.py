@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from backend.calibration.estimate import Estimate
 from backend.config.simulation import SimulationSettings
 from backend.core.facts import CalibrationMeasured, Said
 from backend.core.faults import FaultError, RefusedError
-from backend.devices.interlock import Limits
+from backend.devices.interlock import LEAST_OVERRIDE, Limits
 from backend.devices.melfa.link_faults import VOID
 from backend.devices.sim.arm import SimArm
 from backend.devices.streamed.pressing import UNFELT
@@ -24,9 +25,10 @@ from backend.runs.calibrate_payload import measure_payload, measure_wrist
 from backend.runs.calibrate_tool import measure_tool
 from backend.runs.descents import middle_of_overlap
 from backend.runs.jig import pick
-from backend.runs.motions import take_piece
+from backend.runs.motions import MOVE_S, REFERENCE_S, go, take_piece, zero_wrench
 from backend.runs.requests import CalibrateRequest
 from backend.session import Keep
+from backend.simulation.disturbances import Disturbance, Script
 from tests.backend.runs.blind_bench import BRISK, BlindBench
 
 
@@ -73,6 +75,31 @@ def test_an_arm_that_keeps_level_gives_what_it_can_and_says_so(monkeypatch) -> N
     assert "height" in found.note
     with pytest.raises(RefusedError, match="CANNOT-TURN"):
         measured(BlindBench(request.scene()), measure_wrist, request)
+
+
+def test_a_move_may_take_as_long_as_the_override_makes_it() -> None:
+    blind = BlindBench(CalibrateRequest("payload").scene())
+    blind.interlock.override_speed(LEAST_OVERRIDE)
+    here = blind.bench.arm.pose(1.0)
+    high = replace(here, z_mm=here.z_mm + 160.0)
+    begun_s = blind.bench.now_s()
+    # 5 mm/s: longer than any move at full speed.
+    blind.run(lambda bench: go(bench, high, "the hand to rise"))
+    assert blind.bench.now_s() - begun_s > MOVE_S
+    assert blind.bench.arm.pose(1.0).z_mm == pytest.approx(high.z_mm, abs=0.01)
+
+
+@pytest.mark.parametrize("bursts", [1, 40])
+def test_a_spoilt_tare_of_the_empty_hand_is_taken_again_for_so_long(bursts: int) -> None:
+    blind = BlindBench(CalibrateRequest("payload").scene())
+    found = (Disturbance("force_torque", "nan", 0.2 + 0.15 * n, 0.1) for n in range(bursts))
+    blind.simulated._script = Script(tuple(found))
+    if bursts == 1:
+        blind.run(zero_wrench)
+    else:
+        with pytest.raises(FaultError, match="TARE-REFUSED"):
+            blind.run(zero_wrench)
+    assert (blind.bench.now_s() >= REFERENCE_S) == (bursts > 1)
 
 
 def test_a_held_piece_is_not_weighed_as_gripper() -> None:

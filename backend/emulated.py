@@ -24,6 +24,7 @@ from backend.emulated_child import EmulatedProcess
 from backend.emulators.faults import FaultPlan
 from backend.emulators.joined_serving import BENCH_FILE
 from backend.emulators.truth import RemoteTruth
+from backend.emulators.witness import Witnessed
 from backend.learning.registry import Registry
 from backend.objects.catalogue import load_catalogue
 from backend.rig.flight import FlightRecorder
@@ -42,7 +43,8 @@ from backend.simulation.scene import Scene
 class EmulatedBench:
     """Holds the session and, scene by scene, the emulated devices and their drivers.
 
-    ``plan``: what goes wrong, by the time since a scene was set. Close it when done.
+    ``plan``: what goes wrong, by the time since a scene was set; it may be changed between scenes.
+    Close it when done.
     """
 
     def __init__(
@@ -55,7 +57,7 @@ class EmulatedBench:
         plan: FaultPlan | None = None,
     ) -> None:
         choice = choice or SimulatedBenchChoice()
-        self._settings, self._plan = choice.settings(), plan or FaultPlan()
+        self._settings, self.plan = choice.settings(), plan or FaultPlan()
         self._pieces, self._catalogue = choice.pieces, load_catalogue(choice.pieces)
         self._method = method or StackSettings()
         self._clock = BenchClock()
@@ -71,6 +73,7 @@ class EmulatedBench:
             facts=facts,
         )
         self._wired: WiredDevices | None = None
+        self._truth: RemoteTruth | None = None
         recorder = FlightRecorder(
             lambda: None if self._wired is None else self._wired.link.memory,
             lambda: self.session.run_folder,
@@ -82,6 +85,13 @@ class EmulatedBench:
         self.session.close()
         self._present.close()
         self._process.close()
+
+    def witnessed(self) -> Witnessed | None:
+        """Return what the devices of the present scene have seen of their driver; None before.
+
+        Raises ``OSError`` if they are gone.
+        """
+        return None if self._truth is None else self._truth.witnessed()
 
     def __enter__(self) -> EmulatedBench:
         return self
@@ -101,7 +111,7 @@ class EmulatedBench:
         with ExitStack() as stack:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             address = self._process.set_scene(
-                choice, self._settings, self._plan, folder, self._pieces
+                choice, self._settings, self.plan, folder, self._pieces
             )
             hardware = load(HardwareSettings, folder / BENCH_FILE)
             self._wired = wired = WiredDevices(
@@ -116,7 +126,7 @@ class EmulatedBench:
             wired.connect(threading.Event())
             wired.home()
             self._present = stack.pop_all()
-        truth = RemoteTruth(scene, address)
+        self._truth = truth = RemoteTruth(scene, address)
         wrist = self._settings.wrist
         return Stage(
             clock=self._clock,
@@ -140,7 +150,7 @@ class EmulatedBench:
         return {
             "emulated": True,
             "simulation": self._settings.model_dump(mode="json"),
-            "faults": self._plan.model_dump(mode="json"),
+            "faults": self.plan.model_dump(mode="json"),
             "model": loaded
             and {"piece": loaded.card.piece, "weights_sha256": loaded.card.weights_sha256},
             "program": version("touchdown"),

@@ -26,6 +26,7 @@ from backend.emulators.loads import suffering
 from backend.emulators.melfa import EmulatedMelfa
 from backend.emulators.melfa_arm import frame_of, solve
 from backend.emulators.melfa_controller import READY_RAD
+from backend.emulators.witness import STILL_S, WatchedGripper, Witness, Witnessed
 from backend.emulators.wsg import EmulatedWsg
 from backend.simulation.arm import Cycle
 from backend.simulation.scene import Scene
@@ -58,6 +59,7 @@ class JoinedScene:
         start = self.frame.joints(self.world.drive.command_mm)
         self.melfa = EmulatedMelfa(settings, start_rad=start)
         self.world.drive.run(Carried(self))
+        self._witness = Witness(self.melfa)
         self.melfa.controller.force_n = lambda: self.frame.in_base(self._felt[1][-1, :3])
         self._zero_s = 0.0
         self._felt: tuple[float, FloatArray] = (0.0, np.zeros((1, 6)))
@@ -111,9 +113,22 @@ class JoinedScene:
         """Return how things really are."""
         return self.world.truth(animate=animate)
 
+    def watch_gripper(self, gripper: WatchedGripper) -> None:
+        """Let what is asked of the gripper be seen, too."""
+        self._witness.gripper = gripper
+
+    def witnessed(self) -> Witnessed:
+        """Return what the devices have seen of their driver so far."""
+        controller, pivot_mm = self.melfa.controller, self.frame.pivot_mm
+        now_s = controller.now_s
+        before_mm = pivot_mm(controller.joints_at(now_s - STILL_S))
+        way_mm = pivot_mm(controller.joints_at(now_s)) - before_mm
+        return self._witness.told(float(np.linalg.norm(way_mm)))
+
     def step(self, behind_s: float = 0.0) -> Sensed:
         """Advance the world, which is so late, by one cycle and hand out what was sensed."""
         sensed = self.world.step(FINGERS if behind_s <= PICTURE_S else ())
+        self._witness.feel(sensed.wrench)
         rows = np.concatenate([self._felt[1], sensed.wrench])[-KEPT:]
         self._felt = (1e-6 * sensed.end_us, rows)
         for finger in FINGERS:
@@ -230,6 +245,8 @@ class JoinedWsg(EmulatedWsg):
         super().__init__(part_mm=joined.scene.piece.width_mm, faults=faults)
         self._world, self._piece_mm = joined.world, joined.scene.piece.width_mm
         self._held = False
+        self.openings = 0
+        joined.watch_gripper(self)
 
     def due(self, now_s: float) -> bytes:
         """Return what the gripper sends, and let the world know of its jaws."""
@@ -243,6 +260,7 @@ class JoinedWsg(EmulatedWsg):
             hand.close(0.5 * self.jaws.force_n)
         elif self._held and motion is not None and motion.velocity_mm_s > 0.0:
             self._held = False
+            self.openings += 1
             hand.open_to(motion.target_mm, motion.velocity_mm_s)
         return out
 

@@ -82,6 +82,8 @@ class EmulatedController:
         self.right: object | None = None
         self._servo_on_s = math.inf
         self.error = 0
+        self.stopped_s = math.inf
+        """When an error or a servo that was switched off last ended all motion."""
         self.program, self.loaded = IDLE, settings.mxt.program
         self.missing_programs: set[str] = set()
         self.held = self.stop_on = self.emergency = False
@@ -178,7 +180,7 @@ class EmulatedController:
     def switch_servo(self, on: bool) -> None:
         """Switch on (it takes its time) or off (at once)."""
         if not on:
-            self._servo_on_s = math.inf
+            self._servo_on_s, self.stopped_s = math.inf, self.now_s
             self.halt(end_stream=self.settings.mxt.ends_on_servo_off)
         elif math.isinf(self._servo_on_s):
             self._servo_on_s = self.now_s + self.settings.servo_delay_s

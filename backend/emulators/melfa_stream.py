@@ -46,6 +46,8 @@ class EmulatedStream:
         """Motion commands that were followed."""
         self.largest_share = 0.0
         """Largest step that was asked of a joint, as a share of its top speed."""
+        self.late_command_s = 0.0
+        """Longest time after the end of all motion at which a motion command still came."""
         self._begin()
 
     def _begin(self) -> None:
@@ -56,11 +58,14 @@ class EmulatedStream:
         """Take one datagram; return the reply, None where there is none."""
         controller = self._controller
         controller.advance(now_s)
-        if controller.program != STREAM:
-            return None
         try:
             request = decode_request(data)
         except WireError:
+            return None
+        if controller.program != STREAM:
+            if request.command is Command.MOVE and now_s > controller.stopped_s:
+                late_s = now_s - controller.stopped_s
+                self.late_command_s = max(self.late_command_s, late_s)
             return None
         if not self._running:
             self._begin()

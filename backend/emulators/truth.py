@@ -1,27 +1,40 @@
-"""The truth of an emulated scene over a wire of its own: for scoring, never for a driver."""
+"""The truth of an emulated scene over a wire of its own: for scoring, never for a driver.
+
+Beside it, what the emulated devices have seen of their driver.
+"""
 
 from __future__ import annotations
 
 import json
 import socket
+from dataclasses import asdict
+from typing import Any
 
 from backend.emulators.joined import JoinedScene
+from backend.emulators.witness import Witnessed
 from backend.simulation.scene import Scene
 from backend.simulation.scoring import Truth
 
 ANSWER_S = 2.0
 LONGEST = 4096
+TRUTH, SEEN = b"?\n", b"seen\n"
 
 
 class EmulatedTruth:
-    """Answers every line with the truth as one line of JSON."""
+    """Answers every line with one line of JSON: the truth, or what the devices have seen."""
 
     def __init__(self, joined: JoinedScene) -> None:
         self._joined = joined
 
     def receive(self, now_s: float, data: bytes) -> bytes:
         """Return one line per line."""
-        return _line(self._joined.truth()) * data.count(b"\n")
+        told = b""
+        for line in data.splitlines(keepends=True):
+            if line == SEEN:
+                told += json.dumps(asdict(self._joined.witnessed())).encode() + b"\n"
+            elif line.endswith(b"\n"):
+                told += _line(self._joined.truth())
+        return told
 
     def due(self, now_s: float) -> bytes:
         """Nothing."""
@@ -44,17 +57,25 @@ class RemoteTruth:
 
     def truth(self, *, animate: bool = False) -> Truth:
         """Ask how things really are; raises ``OSError``."""
+        told = self._ask(TRUTH)
+        x, y = told.pop("offset_mm")
+        return Truth(offset_mm=(x, y), fall=None, **told)
+
+    def witnessed(self) -> Witnessed:
+        """Ask what the devices have seen of their driver; raises ``OSError``."""
+        return Witnessed(**self._ask(SEEN))
+
+    def _ask(self, question: bytes) -> dict[str, Any]:
         with socket.create_connection(self._address, timeout=ANSWER_S) as line:
-            line.sendall(b"?\n")
+            line.sendall(question)
             heard = b""
             while not heard.endswith(b"\n") and len(heard) < LONGEST:
                 more = line.recv(LONGEST)
                 if not more:
                     raise ConnectionResetError("the emulated bench is gone")
                 heard += more
-        told = json.loads(heard)
-        x, y = told.pop("offset_mm")
-        return Truth(offset_mm=(x, y), fall=None, **told)
+        answer: dict[str, Any] = json.loads(heard)
+        return answer
 
 
 def _line(truth: Truth) -> bytes:

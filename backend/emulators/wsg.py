@@ -54,6 +54,8 @@ class EmulatedWsg:
         self._updates: dict[Command, Update] = {}
         self._acceleration_mm_s2 = self.jaws.profile.acceleration_mm_s2[0]
         self._leaving = False
+        self.barred = 0
+        """Motions that were asked of it while a fault was not acknowledged."""
         self._actions: dict[int, Callable[[Request], tuple[Status, tuple[Number, ...]]]] = {
             Command.LOOP: lambda request: (Status.SUCCESS, request.values),
             Command.ACKNOWLEDGE: self._acknowledge,
@@ -121,6 +123,7 @@ class EmulatedWsg:
         jaws, refusal = self.jaws, Status.CMD_PENDING
         if jaws.flags & _BARRED:
             refusal = Status.ACCESS_DENIED
+            self.barred += 1
         elif jaws.motion is not None:
             refusal = Status.ALREADY_RUNNING
         elif command is not Command.HOME and SystemFlag.REFERENCED not in jaws.flags:

@@ -55,10 +55,17 @@ class NoModel:
 
 
 class EpisodeStore(Protocol):
-    """Where episodes go; ``keep`` returns at once, ``settle`` when the file is durable."""
+    """Where episodes go; ``keep`` returns at once, ``settle`` when the file is durable.
+
+    ``written``: whether ``settle`` would return, or raise, at once.
+    """
 
     def keep(self, episode: Episode) -> None:
         """Begin to write ``episode``."""
+
+    @property
+    def written(self) -> bool:
+        """Whether nothing is on its way to the disk."""
 
     def settle(self) -> Path | None:
         """Wait for the last write; return the path of its file, None if files are not kept.
@@ -144,3 +151,5 @@ class Bench:
     below: Below | None = None
     placed: Placed = NOWHERE
     """What board and tool say of places."""
+    real_time: bool = False
+    """Time passes by itself: who waits for something else must let the sensors be read."""

@@ -93,6 +93,11 @@ class EpisodeRecorder:
         self._newest = with_uuid(episode), label, context
         self._pending = self._begin()
 
+    @property
+    def written(self) -> bool:
+        """Whether ``settle`` would return, or raise, at once."""
+        return self._pending is not None and self._pending.done()
+
     def settle(self) -> EpisodeEntry:
         """Return the entry of the last episode once it is durable; raises what prevented it.
 

@@ -42,7 +42,15 @@ from backend.runs.motions import go, lift, rest
 from backend.runs.origin_check import check_origin
 from backend.runs.plan import Checkpoint, Plan, Waiting
 from backend.runs.probe import press_once, scene_pictures
-from backend.runs.room import FULL, no_room, not_decided, refused_episode, room_awaited, saved
+from backend.runs.room import (
+    FULL,
+    no_room,
+    not_decided,
+    refused_episode,
+    room_awaited,
+    saved,
+    writing,
+)
 from backend.sensing.episode import EpisodeLimits
 
 OPERATOR_S = 24 * 3600.0
@@ -131,7 +139,7 @@ class Collector:
         taken = self._taken
         if taken is None:
             return
-        entry = yield from self._durable(waits=waits)
+        entry = yield from self._durable(bench, waits=waits)
         self._taken = None
         episode, where = taken.felt.episode, taken.where
         if entry.quality.accepted:
@@ -174,9 +182,11 @@ class Collector:
 
     # -- inside -----------------------------------------------------------------------------------
 
-    def _durable(self, *, waits: bool) -> Plan[EpisodeEntry]:
+    def _durable(self, bench: Bench, *, waits: bool) -> Plan[EpisodeEntry]:
         """Return the entry of the last probe; a full disk pauses the campaign until it is there."""
         while True:
+            if waits:
+                yield from writing(bench, lambda: self.recorder.written)
             try:
                 return self.recorder.settle()
             except FaultError as error:

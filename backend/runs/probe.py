@@ -138,7 +138,7 @@ def probe_until_accepted(bench: Bench, probe: int, tries: int = 2) -> Plan[Felt]
         yield Said(bench.now_s(), words.rejected(probe, felt.episode.quality.reasons))
         bench.store.keep(felt.episode)
         yield from lift(bench, probe)
-        yield from durable(bench.store)
+        yield from durable(bench)
         if attempt + 1 == tries:
             raise FaultError(
                 Fault(

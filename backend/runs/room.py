@@ -9,12 +9,14 @@ from pathlib import Path
 from backend.catalogue.diskspace import NO_ROOM, free_to_go_on
 from backend.core.facts import Decision
 from backend.core.faults import Fault, FaultError
-from backend.runs.bench import EpisodeStore
-from backend.runs.plan import CancelledError, Checkpoint, Plan, StoppedError
+from backend.runs.bench import Bench
+from backend.runs.plan import CancelledError, Checkpoint, Plan, StoppedError, Waiting
 
 FULL = "DISK-FULL"
 CONSEQUENCE = "The run is paused, the arm stands lifted; every probe so far is safe."
 NEXT_STEP = "Make room on this disk, then resume (P)."
+WRITE_S = 60.0
+"""An episode is on its way to the disk for so long at most."""
 
 
 def room_awaited(obstacle: Callable[[], Fault | None]) -> Plan[None]:
@@ -82,13 +84,25 @@ def not_decided(folder: Path, decision: Decision, item: int) -> Fault:
     )
 
 
-def durable(store: EpisodeStore) -> Plan[Path | None]:
+def writing(bench: Bench, written: Callable[[], bool]) -> Plan[None]:
+    """Where time passes by itself, let the sensors be read until ``written()``.
+
+    A slow disk would leave the newest wrench so old that no motion sideways may begin. A bench
+    that is stepped does not wait by its own clock: no number may depend on the disk.
+    """
+    if bench.real_time and not written():
+        yield Waiting(written, WRITE_S, "the episode to be on the disk")
+
+
+def durable(bench: Bench) -> Plan[Path | None]:
     """Return the file of the last episode; a full disk pauses the run until it is there.
 
     Raises ``FaultError`` where the disk refused for another reason, and where the run ends while
     it waits: what was held is then lost.
     """
+    store = bench.store
     while True:
+        yield from writing(bench, lambda: store.written)
         try:
             return store.settle()
         except FaultError as error:

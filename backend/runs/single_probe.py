@@ -14,6 +14,7 @@ from backend.runs.plan import Plan
 from backend.runs.probe import press_once
 from backend.runs.record import record_of
 from backend.runs.requests import ProbeRequest
+from backend.runs.room import writing
 
 
 def probe_run(host: RunHost, request: ProbeRequest) -> Plan[None]:
@@ -51,6 +52,7 @@ def _probe(bench: Bench) -> Plan[bool]:
         x_mm, y_mm = episode.offset_mm.tolist()
         yield PatchEstimated(bench.now_s(), patch, (x_mm, y_mm), 1)
     yield from lift(bench, 1)
+    yield from writing(bench, lambda: bench.store.written)
     path = bench.store.settle()
     name = "" if path is None else path.name
     yield EpisodeRecorded(bench.now_s(), replace(episode, recording=None), 1, name)

@@ -146,6 +146,6 @@ def _asked(bench: Bench, action: PlaceAction, probe: int) -> Plan[bool]:
 
 def _recorded(bench: Bench, felt: Felt) -> Plan[None]:
     """Announce the episode without its native-rate signals: 25 MB that live in its file."""
-    path = yield from durable(bench.store)
+    path = yield from durable(bench)
     episode = replace(felt.episode, recording=None)
     yield EpisodeRecorded(bench.now_s(), episode, felt.probe, "" if path is None else path.name)

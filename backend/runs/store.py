@@ -66,6 +66,11 @@ class RunStore:
             self._newest = episode
             self._begin(self._folder, episode)
 
+    @property
+    def written(self) -> bool:
+        """Whether ``settle`` would return, or raise, at once."""
+        return self._pending is None or self._pending.done()
+
     def settle(self) -> Path | None:
         """Wait until the last episode is on disk; return its path.
 

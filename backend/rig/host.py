@@ -7,7 +7,6 @@ device, STOP never waits.
 
 from __future__ import annotations
 
-import queue
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -35,6 +34,7 @@ from backend.rig.messages import Message, error_row, failed, fault_row
 from backend.rig.orders import JAWS, MOVES, Orders
 from backend.rig.release import STILL_S, Measured, refuse_opening
 from backend.rig.rows import Row, arm_row, gripper_row, sensor_row, slow_row
+from backend.rig.workers import Workers
 
 STATE_ROUNDS, SLOW_ROUNDS = 5, 50
 """The state is shown every 20 ms, what a person looks at every 200 ms."""
@@ -100,12 +100,7 @@ class RigHost:
         self._cursors = [devices.samples.count, devices.poses.count]
         self._wrench_s = -np.inf
         self._held_since_s, self._gripped_mm = np.inf, np.nan
-        self._waiting: dict[str, queue.SimpleQueue[Message | None]] = {}
-        for name in devices.named():
-            self._waiting[name] = queue.SimpleQueue()
-            threading.Thread(
-                target=self._work, args=(self._waiting[name],), name=f"rig {name}", daemon=True
-            ).start()
+        self.workers = Workers(devices.named(), self._carry_out)
 
     # -- time -------------------------------------------------------------------------------------
 
@@ -281,23 +276,15 @@ class RigHost:
         """Take note that the backend is gone: the next round ends all motion and the process."""
         self._gone = True
         self._cancel.set()
-        for waiting in self._waiting.values():
-            waiting.put(None)
+        self.workers.leave()
 
     def _take_order(self, message: Message) -> None:
         name = message["order"]
         if name in AT_ONCE:
             self._carry_out(message)
             return
-        waiting = self._waiting.get(name.split(".")[0])
-        if waiting is None:
+        if not self.workers.give(name.split(".")[0], message):
             self._reply(message, error=ValueError(f"there is no order {name!r}"))
-        else:
-            waiting.put(message)
-
-    def _work(self, waiting: queue.SimpleQueue[Message | None]) -> None:
-        while (message := waiting.get()) is not None:
-            self._carry_out(message)
 
     def _carry_out(self, message: Message) -> None:
         try:
@@ -313,6 +300,8 @@ class RigHost:
         device, _, verb = name.partition(".")
         if verb == "connect":
             self._cancel.clear()
+            if self._gone:
+                self._cancel.set()
             if device == "gripper" and self._homing is not None:
                 self._homing.lost_holding |= given["lost_holding"]
             self.devices.named()[device].connect(given["timeout_s"], self._cancel)

@@ -119,7 +119,7 @@ def _serve(
     try:
         _keep_time(host, parent)
     finally:
-        _end(devices)
+        _end(host)
     return 0
 
 
@@ -149,19 +149,27 @@ def _keep_time(host: RigHost, parent: Parent) -> None:
         never.wait(deadline_s - time.monotonic())
 
 
-def _end(devices: Devices) -> None:
-    """Stop, let the end of the stream out, then close the devices as far as they answer."""
-    devices.arm.stop()
-    devices.gripper.stop()
+def _end(host: RigHost) -> None:
+    """Stop, let the end of the stream out, then close the devices as far as they answer.
+
+    One that is being connected is closed once that has ended: two threads have no device.
+    """
+    host.leave()
+    host.devices.arm.stop()
+    host.devices.gripper.stop()
     threading.Event().wait(END_S)
 
-    def close() -> None:
-        for device in (devices.arm, devices.gripper, devices.force_torque):
-            device.close()
+    def close(name: str) -> None:
+        if host.workers.idle(name, FAREWELL_S):
+            host.devices.named()[name].close()
 
-    farewell = threading.Thread(target=close, name="rig farewell", daemon=True)
-    farewell.start()
-    farewell.join(FAREWELL_S)
+    names = host.devices.named()
+    farewells = [threading.Thread(target=close, args=(n,), daemon=True) for n in names]
+    for farewell in farewells:
+        farewell.start()
+    end_s = time.monotonic() + FAREWELL_S
+    for farewell in farewells:
+        farewell.join(max(0.0, end_s - time.monotonic()))
 
 
 if __name__ == "__main__":

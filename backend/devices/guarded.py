@@ -13,7 +13,12 @@ from backend.core.stream import SampleStream
 from backend.core.turning import LEVEL_RAD, refuse_turned, turn_of, turned_rad
 from backend.devices.held import ByHand, OpensByRight, Right
 from backend.devices.interlock import LEASE_S, Interlock, ReleaseEvidence, release_refusal
-from backend.devices.jog_limits import refuse_forced, refuse_outside, room_mm
+from backend.devices.jog_limits import (
+    refuse_forced,
+    refuse_outside,
+    refuse_unknown,
+    room_mm,
+)
 from backend.devices.protocols import (
     STILL,
     TURN_RAD_S,
@@ -289,6 +294,7 @@ class GuardedArm(_Guarded):
         sideways = math.hypot(target.x_mm - here.x_mm, target.y_mm - here.y_mm)
         force = self._press_n()
         if sideways > 0.05 and not abs(force) <= self._interlock.limits.contact_n:
+            refuse_unknown(force)
             raise RefusedError(
                 "DRAGGING", f"Lift first: {force:.1f} N press on the support while moving sideways."
             )

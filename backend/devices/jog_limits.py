@@ -64,6 +64,12 @@ def refuse_outside(target: Pose, limits: Limits) -> None:
         )
 
 
+def refuse_unknown(press_n: float) -> None:
+    """Raise ``RefusedError`` where the wrist has no young number to tell."""
+    if not math.isfinite(press_n):
+        raise RefusedError("FT-UNKNOWN", "The force at the wrist is not known.")
+
+
 def refuse_forced(
     press_n: float, way: Way, limits: Limits, *, recovering: bool, degraded: str = ""
 ) -> None:
@@ -71,8 +77,7 @@ def refuse_forced(
 
     ``degraded``: which device is late or slow, in words; then only the way out of contact is free.
     """
-    if not math.isfinite(press_n):
-        raise RefusedError("FT-UNKNOWN", "The force at the wrist is not known.")
+    refuse_unknown(press_n)
     # Below the force of a contact the sign is noise, and up is away from whatever may be below.
     up = press_n >= -limits.contact_n
     if (way[2] if up else -way[2]) > 0.99:

@@ -20,7 +20,7 @@ from backend.core.turning import (
     turned_rad,
 )
 from backend.devices.interlock import Limits
-from backend.devices.jog_limits import Way, refuse_outside
+from backend.devices.jog_limits import Way, refuse_outside, refuse_unknown
 
 SLACK_RAD = 1e-6
 """A hand that was turned to its limit is at it, whatever the last digit says."""
@@ -28,6 +28,7 @@ SLACK_RAD = 1e-6
 
 def refuse_turning(pose: Pose, surface_mm: float, press_n: float, limits: Limits) -> None:
     """Raise ``RefusedError`` unless the hand may turn, or stay turned, at this place."""
+    refuse_unknown(press_n)
     if not abs(press_n) <= limits.contact_n:
         raise RefusedError(
             "TURN-PRESSING", f"Fz is {press_n:.1f} N: lift first, then turn the hand."

@@ -41,7 +41,13 @@ def rest(bench: Bench, seconds: float) -> Plan[None]:
 
 
 def go(bench: Bench, place: Pose, what: str) -> Plan[None]:
-    """Move straight to ``place`` in air, as fast as the override lets it."""
+    """Move straight to ``place`` in air, as fast as the override lets it.
+
+    Where time passes by itself, what kept this program busy may have left the wrench too old for a
+    motion sideways: then the next one is waited for.
+    """
+    if bench.real_time:
+        yield from fresh_wrench(bench)
     motion = bench.arm.move_to(place, bench.settings.probe.travel_mm_s)
     yield from motion_done(motion, MOVE_S / bench.interlock.override, what)
 

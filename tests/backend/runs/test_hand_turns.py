@@ -266,7 +266,7 @@ LIMITS = Limits()
         (Pose(0.0, 0.0, 59.9), 40.0, 0.0, "TURN-LOW"),
         (Pose(0.0, 0.0, 60.0), math.nan, 0.0, "TURN-LOW"),
         (Pose(0.0, 0.0, 60.0), 40.0, 1.1, "TURN-PRESSING"),
-        (Pose(0.0, 0.0, 60.0), 40.0, math.nan, "TURN-PRESSING"),
+        (Pose(0.0, 0.0, 60.0), 40.0, math.nan, "FT-UNKNOWN"),
         (Pose(0.0, 0.0, math.nan), 40.0, 0.0, "TURN-LOW"),
     ],
 )

@@ -6,12 +6,13 @@ which feels nothing by itself: the watch over the wrist draws the arm back.
 
 from __future__ import annotations
 
+import math
 import threading
 
 import numpy as np
 import pytest
 
-from backend.core.faults import FaultError
+from backend.core.faults import FaultError, RefusedError
 from backend.core.flow import FINGERS, Pose
 from backend.core.stream import Stream
 from backend.devices.guarded import GuardedArm
@@ -58,3 +59,19 @@ def test_contact_that_comes_too_early_ends_the_way_down_in_a_retreat(speed_mm_s:
     before = rig.true_mm[2]
     rig.rest(0.5)
     assert rig.true_mm[2] == pytest.approx(before, abs=0.01)
+
+
+@pytest.mark.parametrize(("press_n", "why"), [(math.nan, "FT-UNKNOWN"), (3.0, "DRAGGING")])
+def test_nothing_moves_sideways_without_a_number_of_the_wrist(press_n: float, why: str) -> None:
+    rig = Rig((0.0, 0.0, START_MM))
+    interlock = Interlock()
+    arm = GuardedArm(rig.arm, interlock, rig.wires.clock.now_s, lambda: press_n)
+    arm.connect(1.0, threading.Event())
+    rig.rest(0.1)
+    interlock.renew_lease(rig.wires.clock.now_s())
+    before_mm = rig.true_mm.copy()
+    with pytest.raises(RefusedError) as refused:
+        arm.move_to(Pose(3.0, 0.0, START_MM), 20.0)
+    assert refused.value.reason == why
+    rig.rest(0.2)
+    assert rig.true_mm == pytest.approx(before_mm, abs=0.01)

@@ -19,6 +19,7 @@ from typing import Any
 
 from backend.config.hardware import HardwareSettings
 from backend.core.faults import Fault, FaultError
+from backend.core.realtime import prefer
 from backend.core.stream import SampleStream
 from backend.devices.interlock import Interlock, Limits
 from backend.devices.motion import CommandedMotion
@@ -27,6 +28,8 @@ from backend.rig.memory import BACKEND_BEAT, STOPS, SharedMemory, drop, make
 from backend.rig.messages import Message, read_error, read_fault
 
 BEAT_S = 0.005
+PRIORITY = 40
+"""Real-time priority of the beating thread, where the user may have it. Below that of the rig."""
 LATE_S = 0.01
 """So old a sample may be when it comes: a round of the rig, and one of this thread."""
 RIG_SILENT_S = 0.25
@@ -307,6 +310,7 @@ class RigLink:
     # -- the beating thread -----------------------------------------------------------------------
 
     def _keep_time(self, memory: SharedMemory, ended: threading.Event) -> None:
+        prefer(min(PRIORITY, self._settings.melfa.realtime_priority))
         beats, beat_s = memory.rig_beats, time.monotonic()
         while not ended.wait(BEAT_S):
             memory.permit(self._interlock.lease_until_s)

@@ -6,11 +6,12 @@ import argparse
 import sys
 import threading
 from collections.abc import Callable, Container, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from backend.core.faults import FaultError, InputError, RefusedError
+from backend.core.realtime import taking_turns
 from backend.runs.store import models_folder
 from backend.verbs.screen import Screen
 
@@ -23,6 +24,10 @@ if TYPE_CHECKING:
 LOOK_S = 0.05
 START_OVERRIDE = 10
 """Percent of every speed in air, unless --override says otherwise."""
+
+PRIORITY = 5
+"""Real-time priority of a command that drives a lab's devices, where the user may have it: other
+work of this computer must not make it silent while the arm moves. Below that of all devices."""
 
 
 def add_lab_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,12 +75,17 @@ def lab_bench(
 
     Raises ``InputError`` for the file, ``FaultError`` naming the first device that failed.
     """
+    from backend.config.lab import load_lab
     from backend.lab import lab_session
     from backend.learning.registry import Registry
 
     registry = Registry(models_folder())
-    session = lab_session(choice, keep=keep, method=method, registry=registry)
-    try:
+    rig_priority = load_lab(choice.file).settings.melfa.realtime_priority
+    with ExitStack() as rest:
+        # Before there are threads: all of them inherit it.
+        rest.enter_context(taking_turns(min(PRIORITY, rig_priority)))
+        session = lab_session(choice, keep=keep, method=method, registry=registry)
+        rest.callback(session.close)
         connection = session.connection
         assert connection is not None
         session.interlock.override_speed((override or START_OVERRIDE) / 100)
@@ -87,8 +97,6 @@ def lab_bench(
             follow(connection, screen.say, ("gripper",))
         require_usable(connection)
         yield session
-    finally:
-        session.close()
 
 
 def follow(

@@ -16,11 +16,12 @@ from rich.text import Text
 
 from backend.core.faults import InputError
 from backend.core.flow import FINGERS
+from backend.core.realtime import taking_turns
 from backend.emulators.faults import FaultPlan, load_faults
 from backend.emulators.front import Front
 from backend.emulators.gelsight import SERIAL
 from backend.emulators.joined import JoinedScene
-from backend.emulators.joined_serving import lab_toml, serve_bench, take_short_turns
+from backend.emulators.joined_serving import PRIORITY, lab_toml, serve_bench, take_short_turns
 from backend.emulators.loads import hanging, noisy
 from backend.emulators.serving import SUFFERS, Choice, Emulation, Wrench, bench_toml, emulate
 from backend.objects.catalogue import load_catalogue
@@ -91,6 +92,9 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     with ExitStack() as rest:
         if args.kind == BENCH and args.folder is None and args.lab_file is not None:
             args.folder = Path(rest.enter_context(tempfile.TemporaryDirectory(prefix="bench-")))
+        if args.kind == BENCH:
+            # Threads of one interpreter wait for each other: none may wait for other programs.
+            rest.enter_context(taking_turns(PRIORITY))
         world, emulation = _bench(args) if args.kind == BENCH else (None, _device(args))
         return _serve(args, screen, world, emulation)
 

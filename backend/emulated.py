@@ -142,6 +142,7 @@ class EmulatedBench:
             outline=scene.surface,
             jig=_jig(scene),
             wrench_late_s=1e-3 * hardware.ft.latency_ms + LATE_S,
+            real_time=True,
         )
 
     def _check(self, choice: SceneChoice) -> Mapping[str, object]:

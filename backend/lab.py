@@ -133,6 +133,7 @@ class _LabBench:
             payload=gripper_payload(mounting.payload_kg, mounting.payload_com_mm),
             outline=self._catalogue.bottom(choice.bottoms[-1]).face,
             wrench_late_s=1e-3 * settings.ft.latency_ms + LATE_S,
+            real_time=True,
         )
 
     def check(self, choice: SceneChoice) -> Mapping[str, object]:

@@ -359,7 +359,7 @@ class Session:
             sensor_height_mm=self.facts.sensor_height_mm,
             below=Below.entered(stage.piece, bottoms, method.tower),
             placed=placed_by(self._used),
-            real_time=not self.simulated,
+            real_time=stage.real_time,
         )
 
     def _set_scene(self, choice: SceneChoice, used: Used | None = None) -> _Scene:

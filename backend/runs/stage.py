@@ -20,7 +20,7 @@ class Stage:
     ``devices`` names all five for the chips; ``scoring`` is None where the truth is unknown;
     ``payload`` (6,) is the calibrated weight below the sensor, N and N·m. ``jig``: taught pose of
     ``G`` with the piece in its jig, None where there is no jig. ``outline`` of the touched face.
-    ``wrench_late_s``: age of a wrench sample when it comes.
+    ``wrench_late_s``: age of a wrench sample when it comes. ``real_time``: time passes by itself.
     """
 
     clock: Clock
@@ -37,3 +37,4 @@ class Stage:
     jig: Pose | None = None
     scene_view: SceneView | None = None
     wrench_late_s: float = 0.0
+    real_time: bool = False

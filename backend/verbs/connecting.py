@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from backend.core.faults import FaultError, InputError, RefusedError
-from backend.core.realtime import taking_turns
+from backend.core.niceness import stepping_forward
 from backend.runs.store import models_folder
 from backend.verbs.screen import Screen
 
@@ -24,10 +24,6 @@ if TYPE_CHECKING:
 LOOK_S = 0.05
 START_OVERRIDE = 10
 """Percent of every speed in air, unless --override says otherwise."""
-
-PRIORITY = 5
-"""Real-time priority of a command that drives a lab's devices, where the user may have it: other
-work of this computer must not make it silent while the arm moves. Below that of all devices."""
 
 
 def add_lab_arguments(parser: argparse.ArgumentParser) -> None:
@@ -75,15 +71,13 @@ def lab_bench(
 
     Raises ``InputError`` for the file, ``FaultError`` naming the first device that failed.
     """
-    from backend.config.lab import load_lab
     from backend.lab import lab_session
     from backend.learning.registry import Registry
 
     registry = Registry(models_folder())
-    rig_priority = load_lab(choice.file).settings.melfa.realtime_priority
     with ExitStack() as rest:
         # Before there are threads: all of them inherit it.
-        rest.enter_context(taking_turns(min(PRIORITY, rig_priority)))
+        rest.enter_context(stepping_forward())
         session = lab_session(choice, keep=keep, method=method, registry=registry)
         rest.callback(session.close)
         connection = session.connection

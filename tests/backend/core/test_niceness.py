@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 
 import pytest
 
-from backend.core.niceness import NICENESS
+from backend.core import niceness
+from backend.core.niceness import FORWARD, NICENESS, stepping_forward
 
 TWICE = """
 import os
@@ -24,3 +26,37 @@ print(os.nice(0))
 def test_what_has_stepped_back_already_does_not_step_back_again() -> None:
     told = subprocess.run([sys.executable, "-c", TWICE], capture_output=True, text=True, check=True)
     assert int(told.stdout) == max(NICENESS, min(os.nice(0) + 5, 19))
+
+
+def present() -> int:
+    return os.getpriority(os.PRIO_PROCESS, 0)
+
+
+def of_a_new_thread() -> int:
+    found: list[int] = []
+    thread = threading.Thread(target=lambda: found.append(present()))
+    thread.start()
+    thread.join()
+    return found[0]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only there each thread has its own")
+def test_threads_that_are_started_meanwhile_stand_forward_as_well() -> None:
+    before = present()
+    with stepping_forward() as given:
+        if not given:
+            pytest.skip("this user may not have it")
+        assert of_a_new_thread() == present() == FORWARD
+    assert of_a_new_thread() == present() == before
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only there each thread has its own")
+def test_who_may_not_step_forward_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> None:
+        raise PermissionError("no nice for this user")
+
+    before = present()
+    monkeypatch.setattr(niceness.os, "setpriority", refused)
+    with stepping_forward() as given:
+        assert not given
+        assert present() == before

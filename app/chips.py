@@ -54,6 +54,7 @@ class ChipsPresenter:
 
     def _chip(self, key: str, device: Device, now_s: float, degraded: Degraded | None) -> ChipValue:
         health, fresh = device.health, self._fresh[key]
+        drift = self._link.drift if key == "force_torque" else None
         fresh.note(health.received, now_s)
         state: ChipState = _STATES[device.state]
         age = fresh.judge(now_s)
@@ -65,6 +66,8 @@ class ChipsPresenter:
             lasted_s = self._link.clock_s() - degraded.since_s
             figure = f"{health.rate_hz:.0f} Hz" if degraded.how == "slow" else f"{lasted_s:.1f} s"
             detail = f"{degraded.how} {figure}"
+        elif state == "ready" and drift is not None and drift.named:
+            state, detail = "degraded", f"drift {drift.moved_n:.2f} N"
         elif device.state is DeviceState.READY and not math.isfinite(health.age_s):
             detail = "no data yet"
         elif device.state is DeviceState.READY:
@@ -74,6 +77,7 @@ class ChipsPresenter:
         who = device.identity
         lost = lost_words(health.lost, "frame" if key.startswith("tactile") else "sample")
         tip = f"{device.state.value}, {detail}; {health.received} received, {lost}"
+        tip = tip if drift is None else f"{tip}\n{drift.words()}, in still air"
         if who is not None:
             tip = f"{who.maker} {who.model}, serial {who.serial}\n{tip}"
         return ChipValue(state, detail, health.lost if _is_much(health) else 0, tip)

@@ -15,6 +15,7 @@ from backend.core.facts import (
     Fact,
     FaultRaised,
     FaultsReset,
+    Noticed,
     Paused,
     PhaseEntered,
     Refused,
@@ -46,6 +47,8 @@ def note(fact: Fact) -> None:
         log.info("reset by the operator")
     elif isinstance(fact, Paused):
         log.warning("paused %s: %s", fact.fault.code, fact.fault.what)
+    elif isinstance(fact, Noticed):
+        log.warning("noticed %s: %s", fact.fault.code, fact.fault.what)
     elif isinstance(fact, Refused):
         log.info("refused %s: %s", fact.reason, fact.text)
 
@@ -63,8 +66,10 @@ def tell(fact: Fact, link: Link | None, cards: FaultCards, say: Say) -> None:
         why = "" if link is None else why_no_run(link)
         if link is not None and why:
             say(f"{why}.", lambda: why_no_run(link) == why)
-    elif isinstance(fact, Paused):
-        cards.show_card(replace(card_of(fact.fault, clock()), reset=False, obstacle=True))
+    elif isinstance(fact, Paused | Noticed):
+        waits = isinstance(fact, Paused)
+        card = card_of(fact.fault, clock())
+        cards.show_card(replace(card, reset=False, obstacle=waits, notice=not waits))
     elif isinstance(fact, RunStarted):
         say("")
         cards.pass_on()

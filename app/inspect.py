@@ -40,7 +40,7 @@ class InspectPresenter:
             self.sheet = DeviceInspector(self._window, self.reconnect)
         chip = self._bar.chips[key]
         below = chip.mapToGlobal(QPoint(0, chip.height() + 8))
-        self.sheet.open_at(key, self._titles[key], rows_of(device), below)
+        self.sheet.open_at(key, self._titles[key], self._rows(device), below)
 
     def reconnect(self) -> None:
         """Connect the shown device anew, on a thread: a cable may take seconds to answer."""
@@ -73,7 +73,13 @@ class InspectPresenter:
         self.sheet.reconnect.setEnabled(not self._connecting and not busy(self._link))
         device = self._link.devices.get(self.sheet.key)
         if device is not None:
-            self.sheet.show_rows(rows_of(device))
+            self.sheet.show_rows(self._rows(device))
+
+    def _rows(self, device: Device) -> list[tuple[str, str]]:
+        """Return the rows of a device; of the wrist sensor its drift as well."""
+        drift = self._link.drift if device.name == "force_torque" else None
+        told = [] if drift is None else [("drift in air", drift.words().removeprefix("drift "))]
+        return [*rows_of(device), *told]
 
 
 def rows_of(device: Device) -> list[tuple[str, str]]:

@@ -23,6 +23,7 @@ from backend.rig.connection import Connection
 from backend.runs.gate import Gate
 from backend.runs.hand import Hand
 from backend.runs.requests import Request, RunStatus
+from backend.sensing.drift import Drift
 
 
 class EngineLink(Protocol):
@@ -91,6 +92,10 @@ class Link(Protocol):
     @property
     def degraded(self) -> tuple[Degraded, ...]:
         """Sensors that are late or slow now."""
+
+    @property
+    def drift(self) -> Drift | None:
+        """By how much the wrist sensor drifted in air, None while that is not known."""
 
     def clock_s(self) -> float:
         """Return the bench clock."""

@@ -106,6 +106,8 @@ class LivePresenter:
         self._headers_s = now_s
         for finger in FINGERS:
             self._show_header(finger)
+        drift = self._link.drift
+        self._views.force.show_note("" if drift is None else drift.words())
         for plot in (self._views.force, self._views.moment):
             plot.setAccessibleDescription(plot.summary())
 

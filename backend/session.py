@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Protocol
 
 from backend.calibration.applied import placed_by
 from backend.calibration.store import CalibrationStore
@@ -40,6 +39,7 @@ from backend.placement.estimator import Estimator
 from backend.rig.connection import Connection
 from backend.runs.bench import Bench
 from backend.runs.calibrated import Used, as_metadata, calibrations_for, payload_of, surface_of
+from backend.runs.drifting import DriftTeller, Place
 from backend.runs.engine import Engine
 from backend.runs.gate import Decisions, Gate
 from backend.runs.hand import Hand, Reach
@@ -50,8 +50,9 @@ from backend.runs.plan import Plan
 from backend.runs.plans import plan_of
 from backend.runs.recording import Keep, Recorder
 from backend.runs.requests import Request, RunStatus, SceneChoice, SetRequest
-from backend.runs.stage import Stage
+from backend.runs.stage import Check, MakeStage, Stage
 from backend.runs.standing import FaultTeller, refuse_contact, refuse_on_devices, stop_with
+from backend.sensing.drift import Drift
 from backend.sensing.live import LiveSensing, RawStreams
 
 __all__ = ["Keep", "Session"]
@@ -64,18 +65,6 @@ FRAME_CAPACITY, SAMPLE_CAPACITY = 192, 60_000
 """Newest 7.7 s of images per finger (44 MB each) and 60 s of 1 kHz samples are kept."""
 
 
-class MakeStage(Protocol):
-    """Builds a scene on the session's streams."""
-
-    def __call__(self, choice: SceneChoice, raw: RawStreams) -> Stage:
-        """Return the stage; raises ``InputError`` for an unknown piece, bottom or model."""
-
-
-Check = Callable[[SceneChoice], Mapping[str, object]]
-"""Raises ``InputError`` before anything is written or moved; else returns what a run on the scene
-depends on beside request and method, JSON-ready: bench settings, model, program."""
-
-
 @dataclass(frozen=True, slots=True)
 class _Scene:
     """A stage with its sensing and its guarded devices."""
@@ -85,6 +74,7 @@ class _Scene:
     arm: GuardedArm
     gripper: GuardedGripper
     hand: Hand
+    drift: DriftTeller
 
 
 class Session:
@@ -168,6 +158,11 @@ class Session:
     def degraded(self) -> tuple[Degraded, ...]:
         """Sensors of the present scene that are late or slow now."""
         return () if self._scene is None else self._supervision.degraded
+
+    @property
+    def drift(self) -> Drift | None:
+        """By how much the wrist sensor drifted, None while that is not known."""
+        return None if self._scene is None else self._scene.sensing.drift
 
     def clock_s(self) -> float:
         """Return the bench clock of the present scene."""
@@ -260,6 +255,7 @@ class Session:
             scene.hand.tick()
             scene.stage.advance(STEP_US)
             scene.sensing.update()
+            scene.drift.update()
             self._supervision.check(self.clock_s())
         if not self.engine.busy:
             self._teller.tell(self.clock_s())
@@ -329,8 +325,7 @@ class Session:
 
     def _bench(self, scene: _Scene, method: StackSettings) -> Bench:
         """Return the bench of a plan on ``scene``."""
-        stage = scene.stage
-        now_s = stage.clock.now_s
+        stage, now_s = scene.stage, scene.stage.clock.now_s
         bottoms = [self.catalogue.bottom(name) for name in stage.bottom.split("+")]
         self.interlock.untested_release = self.simulated and method.strategy == "pick-and-place"
         self.interlock.renew_lease(now_s())
@@ -395,6 +390,7 @@ class Session:
         gripper = GuardedGripper(stage.gripper, self.interlock, now_s)
         around = Around(now_s, self._wall_s, press_n, surface_mm, lambda: self.engine.busy)
         hand = Hand(Reach(arm, gripper, sensing), self.interlock, around, self.hub.publish)
-        self._scene = scene = _Scene(stage, sensing, arm, gripper, hand)
+        drift = DriftTeller(Place(now_s, arm, gripper, surface_mm), sensing, self.hub.publish)
+        self._scene = scene = _Scene(stage, sensing, arm, gripper, hand, drift)
         self._supervision.begin(now_s(), gripper, stage.devices["force_torque"])
         return scene

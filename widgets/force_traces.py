@@ -41,6 +41,7 @@ class TracePlot(QWidget):
         self._least = self.limit = limit
         self.buckets = TraceBuckets(3, buckets=BUCKETS)
         self._age, self._age_s, self._reason = Age.NEVER, 0.0, ""
+        self._note = ""
         self._ground: QPixmap | None = None
         self._ground_key: tuple[object, ...] = ()
         self.paints = 0
@@ -83,13 +84,21 @@ class TracePlot(QWidget):
         self._age, self._age_s, self._reason = age, age_s, reason
         self.update()
 
+    def show_note(self, note: str) -> None:
+        """Show a figure of the sensor beside the title, such as its drift."""
+        if note != self._note:
+            self._note, self._ground = note, None
+            self.update()
+
     def summary(self) -> str:
         """Return the newest values in words, for screen readers."""
         if self.buckets.empty:
             return f"{self._name}: waiting for data"
         parts = (f"{self._symbol}{a} {v:.2f}" for a, v in zip(AXES, self.buckets.last, strict=True))
         span = f"{self.buckets.span_s:.0f} s"
-        return f"{', '.join(parts)} {self._unit}; largest {self.buckets.largest():.2f} in {span}"
+        note = f"; {self._note}" if self._note else ""
+        largest = f"largest {self.buckets.largest():.2f} in {span}"
+        return f"{', '.join(parts)} {self._unit}; {largest}{note}"
 
     def _grow(self, magnitude: float) -> None:
         while magnitude * 1.05 > self.limit:
@@ -194,6 +203,13 @@ class TracePlot(QWidget):
         painter.setFont(ui_font(self._theme.scale, 0.85, 500))
         name = f"{self._name} ({self._unit})"
         painter.drawText(QPointF(rect.left(), rect.top() - 0.5 * height), name)
+        painter.setFont(ui_font(self._theme.scale, 0.85))
+        left = painter.fontMetrics().horizontalAdvance(f"{name}   ")
+        note = painter.fontMetrics().elidedText(
+            self._note, Qt.TextElideMode.ElideRight, int(rect.width() - left)
+        )
+        width = painter.fontMetrics().horizontalAdvance(note)
+        painter.drawText(QPointF(rect.right() - width, rect.top() - 0.5 * height), note)
 
 
 def _next_limit(limit: float) -> float:

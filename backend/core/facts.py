@@ -346,6 +346,18 @@ class Paused(Fact):
 
 
 @dataclass(frozen=True, slots=True)
+class Noticed(Fact):
+    """Something is not as it should be; nothing is latched, and what goes on goes on."""
+
+    fault: Fault
+
+    @property
+    def text(self) -> str:
+        """What it is and what to do, as one paragraph."""
+        return f"{self.fault.what} {self.fault.next_step}"
+
+
+@dataclass(frozen=True, slots=True)
 class FaultsReset(Fact):
     """The operator reset the latched faults and the stop latch."""
 

@@ -13,6 +13,7 @@ A fault plan is TOML::
 
 from __future__ import annotations
 
+import math
 import random
 import threading
 from collections.abc import Sequence
@@ -31,15 +32,22 @@ wire stays; unplug: the wire is gone and comes back at the end of the fault."""
 DATAGRAM_KINDS = ("reorder",)
 """Two datagrams change places."""
 DEVICE_KINDS: dict[str, tuple[str, ...]] = {
-    "force_torque": ("freeze", "saturate", "slow"),
+    "force_torque": ("freeze", "saturate", "slow", "drift"),
     "gripper": ("part_lost", "fast_stop", "power"),
     "tactile_left": ("freeze", "dark", "slow"),
     "tactile_right": ("freeze", "dark", "slow"),
     "arm": ("alarm", "estop", "servo_off"),
 }
-"""What only one kind of device can suffer from. slow: takes ``hz`` samples a second at most."""
+"""What only one kind of device can suffer from. slow: takes ``hz`` samples a second at most; drift:
+Fz moves by ``n_per_s`` and stays where it came to."""
+AMOUNTS = {
+    "slow": ("hz", "how many samples a second"),
+    "drift": ("n_per_s", "by how many N a second"),
+}
+"""What must be told of a fault, and of no other."""
 
 Share = Annotated[float, Field(gt=0, le=1)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 LONGEST_GARBAGE = 64
 
 
@@ -53,6 +61,7 @@ class PlannedFault(Settings):
     share: Share = 1.0
     by_s: Positive = 0.1
     hz: Positive | None = None
+    n_per_s: Finite | None = None
 
     @model_validator(mode="after")
     def _known(self) -> PlannedFault:
@@ -63,8 +72,9 @@ class PlannedFault(Settings):
             raise ValueError(
                 f"'{self.device}' has no fault '{self.kind}': use one of {', '.join(kinds)}"
             )
-        if (self.kind == "slow") != (self.hz is not None):
-            raise ValueError("'hz', how many samples a second, belongs to 'slow' and to no other")
+        for kind, (amount, what) in AMOUNTS.items():
+            if (self.kind == kind) != (getattr(self, amount) is not None):
+                raise ValueError(f"'{amount}', {what}, belongs to '{kind}' and to no other")
         return self
 
     def holds(self, t_s: float) -> bool:
@@ -123,6 +133,17 @@ class Faults:
     def active(self, kind: str, now_s: float) -> bool:
         """Return whether a fault of this kind is on."""
         return bool(self._planned) and self.find(kind, now_s) is not None
+
+    def drift_n(self, now_s: float) -> float:
+        """Return by how much the sensor has drifted by now, N."""
+        if not self._planned:
+            return 0.0
+        t_s = self._since(now_s)
+        with self._lock:
+            drifts = [f for f in self._planned if f.n_per_s is not None]
+        return sum(
+            (f.n_per_s or 0.0) * min(max(t_s - f.at_s, 0.0), f.for_s or math.inf) for f in drifts
+        )
 
     def names(self, now_s: float) -> tuple[str, ...]:
         """Return the kinds that are on, for display."""

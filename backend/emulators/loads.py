@@ -40,7 +40,7 @@ def hanging(now_s: float, swing_n: float = 0.3, period_s: float = 4.0) -> tuple[
 def suffering(
     wrench: Callable[[float], Sequence[float]], faults: Faults
 ) -> Callable[[float], tuple[float, ...]]:
-    """Return ``wrench`` as a sensor with these faults feels it: freeze, saturate."""
+    """Return ``wrench`` as a sensor with these faults feels it: freeze, saturate, drift."""
     last: tuple[float, ...] | None = None
 
     def felt(now_s: float) -> tuple[float, ...]:
@@ -48,7 +48,8 @@ def suffering(
         if faults.active("saturate", now_s):
             return (BEYOND,) * 6
         if last is None or not faults.active("freeze", now_s):
-            last = tuple(wrench(now_s))
+            x, y, z, *moments = wrench(now_s)
+            last = (x, y, z + faults.drift_n(now_s), *moments)
         return last
 
     return felt

@@ -116,12 +116,17 @@ def scene_pictures(bench: Bench) -> tuple[ScenePicture, ...]:
 
 
 def _calibration(bench: Bench) -> tuple[tuple[str, str], ...]:
-    """Return what it was measured against: scene camera, references and calibrations by hash."""
+    """Return what it was measured against: scene camera, references and calibrations by hash.
+
+    And by how much the wrist sensor had drifted, as far as that is known.
+    """
     view = bench.scene_view
     board = () if view is None else (("scene_homography", view.homography.text()),)
     references = bench.sensing.references.items()
     rest = ((f"reference_{finger}", taken.sha256) for finger, taken in references)
-    return (*board, *rest, *bench.calibrations)
+    drift = bench.sensing.drift
+    drifted = () if drift is None else (("wrist_drift", drift.text()),)
+    return (*board, *rest, *drifted, *bench.calibrations)
 
 
 def probe_until_accepted(bench: Bench, probe: int, tries: int = 2) -> Plan[Felt]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 from backend.core.clock import Clock
 from backend.core.flow import FloatArray, Pose
@@ -11,6 +12,12 @@ from backend.devices.protocols import Arm, Device, Gripper
 from backend.objects.catalogue import Piece
 from backend.objects.shapes import Outline
 from backend.runs.bench import Estimate, SceneView, Scoring
+from backend.runs.requests import SceneChoice
+from backend.sensing.live import RawStreams
+
+Check = Callable[[SceneChoice], Mapping[str, object]]
+"""Raises ``InputError`` before anything is written or moved; else returns what a run on the scene
+depends on beside request and method, JSON-ready: bench settings, model, program."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,3 +45,10 @@ class Stage:
     scene_view: SceneView | None = None
     wrench_late_s: float = 0.0
     real_time: bool = False
+
+
+class MakeStage(Protocol):
+    """Builds a scene on the streams of a session."""
+
+    def __call__(self, choice: SceneChoice, raw: RawStreams) -> Stage:
+        """Return the stage; raises ``InputError`` for an unknown piece, bottom or model."""

@@ -21,6 +21,7 @@ from backend.core.flow import (
     TactileFrame,
 )
 from backend.core.stream import SampleStream, Stream
+from backend.sensing.drift import Drift
 from backend.sensing.markers import MarkerTracker
 from backend.sensing.reference import Reference, take_reference
 from backend.sensing.tare import Tare, take_tare
@@ -61,6 +62,8 @@ class LiveSensing:
         self._tare = Tare(payload, np.zeros(WRENCH_CHANNELS))
         self.tare_s = float("-inf")
         """Bench time of the last tare: a verdict reached before it belongs to a former probe."""
+        self.drift: Drift | None = None
+        """What is known of the wrist sensor's, for any thread; None while that is too little."""
 
     @property
     def tare(self) -> Tare:

@@ -2,7 +2,7 @@
 
 Written as ``device:kind@start`` or ``device:kind@start+length`` in seconds of the bench clock, for
 example ``tactile_right:stop@2.5+1.0``. A sensor that slows down needs the rate as well, in Hz:
-``force_torque:slow=300@30+5``.
+``force_torque:slow=300@30+5``; one that drifts its drift, in N/s: ``force_torque:drift=0.05@30``.
 """
 
 from __future__ import annotations
@@ -17,28 +17,33 @@ from backend.core.faults import InputError
 KINDS: dict[str, tuple[str, ...]] = {
     "tactile_left": ("freeze", "stop", "slow", "dark", "flicker"),
     "tactile_right": ("freeze", "stop", "slow", "dark", "flicker"),
-    "force_torque": ("nan", "stop", "slow", "jump"),
+    "force_torque": ("nan", "stop", "slow", "drift", "jump"),
     "arm": ("stall", "silent"),
     "gripper": ("stall", "silent"),
 }
 """freeze: the same picture for ever; stop: nothing arrives; slow: so many samples a second at most;
-dark: the light fails; flicker: the brightness swings by 25 %; nan: samples are not numbers; jump:
-+50 N on Fz; stall: commanded but not moving; silent: no positions or widths arrive."""
+dark: the light fails; flicker: the brightness swings by 25 %; nan: samples are not numbers; drift:
+Fz moves by so many N a second, and stays where it came to; jump: +50 N on Fz; stall: commanded but
+not moving; silent: no positions or widths arrive."""
+
+UNITS = {"slow": "samples a second", "drift": "N a second"}
+"""Of the faults that need to be told how much."""
 
 _FORM = re.compile(
-    r"(?P<device>[a-z_]+):(?P<kind>[a-z]+)(=(?P<rate>\d+(\.\d+)?))?@(?P<start>\d+(\.\d+)?)(\+(?P<length>\d+(\.\d+)?))?"
+    r"(?P<device>[a-z_]+):(?P<kind>[a-z]+)(=(?P<much>\d+(\.\d+)?))?@(?P<start>\d+(\.\d+)?)(\+(?P<length>\d+(\.\d+)?))?"
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """One fault; ``length_s`` infinite if it does not end, ``rate_hz`` of one that is slow."""
+    """One fault; ``length_s`` infinite if it does not end, ``much`` of one that has an amount."""
 
     device: str
     kind: str
     start_s: float
     length_s: float = float("inf")
-    rate_hz: float | None = None
+    much: float | None = None
+    """Samples a second of one that is slow, N a second of one that drifts."""
 
     def holds(self, device: str, kind: str, t_s: float) -> bool:
         """Return whether this is the fault ``kind`` of ``device``, and on at ``t_s``."""
@@ -61,7 +66,15 @@ class Script:
 
     def rate_hz(self, device: str, t_s: float) -> float | None:
         """Return how fast ``device`` delivers at most at ``t_s``, None if it is not slowed."""
-        return next((d.rate_hz for d in self.disturbances if d.holds(device, "slow", t_s)), None)
+        return next((d.much for d in self.disturbances if d.holds(device, "slow", t_s)), None)
+
+    def drift_n(self, t_s: float) -> float:
+        """Return by how much the wrist sensor has drifted until ``t_s``, N."""
+        return sum(
+            (d.much or 0.0) * min(max(t_s - d.start_s, 0.0), d.length_s)
+            for d in self.disturbances
+            if d.kind == "drift"
+        )
 
 
 class Thinned:
@@ -94,16 +107,18 @@ def parse_disturbance(text: str) -> Disturbance:
         raise InputError(
             f"'{device}' has no fault '{kind}'.", text, f"Use one of {', '.join(KINDS[device])}."
         )
-    rate_hz = None if match["rate"] is None else float(match["rate"])
-    if (kind == "slow") != bool(rate_hz):
+    much = None if match["much"] is None else float(match["much"])
+    unit = UNITS.get(kind)
+    if bool(much) != (unit is not None):
         raise InputError(
-            f"'{text}' needs a rate above 0." if kind == "slow" else f"'{kind}' takes no rate.",
+            f"'{text}' needs an amount above 0, in {unit}." if unit else f"'{kind}' takes no rate.",
             text,
-            f"Write {device}:slow=10@3 for ten samples a second; other faults without a number.",
+            f"Write {device}:slow=10@3 for ten samples a second, force_torque:drift=0.05@3 for so "
+            "many N a second; other faults without a number.",
         )
     length = match["length"]
     length_s = float("inf") if length is None else float(length)
-    return Disturbance(device, kind, float(match["start"]), length_s, rate_hz)
+    return Disturbance(device, kind, float(match["start"]), length_s, much)
 
 
 def parse_script(texts: Iterable[str]) -> Script:

@@ -19,6 +19,7 @@ from backend.core.facts import (
     Fact,
     FaultRaised,
     HandOverAwaited,
+    Noticed,
     Progress,
     RunFinished,
     Said,
@@ -118,7 +119,7 @@ class _Told:
         elif isinstance(fact, HandOverAwaited):
             self._screen.say(f"  {hand_over(fact)} Enter confirms.")
             ask_on_a_thread(self._session.answer)
-        elif isinstance(fact, Said):
+        elif isinstance(fact, Said | Noticed):
             self._screen.say(f"  {fact.text}")
         elif isinstance(fact, FaultRaised):
             self.faults.append(fact.fault.code)

@@ -19,6 +19,7 @@ from backend.core.facts import (
     Gripped,
     HandOverAwaited,
     MountingAwaited,
+    Noticed,
     Paused,
     ProbeCollected,
     RunFinished,
@@ -159,7 +160,7 @@ class _Told:
             self._asked(fact)
         elif isinstance(fact, Paused):
             self._paused(fact.fault)
-        elif isinstance(fact, Said):
+        elif isinstance(fact, Said | Noticed):
             self._screen.say(f"  {fact.text}")
         elif isinstance(fact, FaultRaised):
             self.faults.append(fact.fault.code)

@@ -1,6 +1,7 @@
 """Faults by keyboard while an emulated device serves: ``[device] kind [seconds]``, or ``clear``.
 
-A sensor that slows down needs its rate: ``slow=300 5`` for 300 samples a second.
+A sensor that slows down needs its rate, ``slow=300 5`` for 300 samples a second, and one that
+drifts its drift, ``drift=0.05 60`` for 0.05 N a second.
 """
 
 from __future__ import annotations
@@ -10,10 +11,13 @@ import sys
 from collections.abc import Sequence
 from typing import TextIO
 
+from backend.emulators.faults import AMOUNTS
 from backend.emulators.front import Front
 
 CLEAR = "clear"
-USAGE = "Type a fault and Enter: [device] kind [seconds], slow=Hz; 'clear' ends all faults."
+USAGE = (
+    "Type a fault and Enter: [device] kind [seconds], slow=Hz, drift=N/s; 'clear' ends all faults."
+)
 
 
 class TypedFaults:
@@ -58,8 +62,9 @@ class TypedFaults:
         kind, *rest = words[1:] if device else words
         try:
             for_s = float(rest[0]) if rest else None
-            kind, _, rate = kind.partition("=")
-            struck.inject(kind, for_s, **({"hz": float(rate)} if rate else {}))
+            kind, _, much = kind.partition("=")
+            name, _ = AMOUNTS.get(kind, ("hz", ""))
+            struck.inject(kind, for_s, **({name: float(much)} if much else {}))
         except ValueError:
             return f"'{line.strip()}' is no fault of {', '.join(named)}. {USAGE}"
         until = "until 'clear'" if for_s is None else f"for {for_s:g} s"

@@ -16,6 +16,7 @@ from backend.core.facts import (
     ApprovalAwaited,
     Fact,
     FaultRaised,
+    Noticed,
     PhaseEntered,
     Said,
     TrialFinished,
@@ -241,7 +242,7 @@ def narrate(fact: Fact, screen: Screen, bench: str = "simulated bench") -> None:
     """Say one fact in words, if it is one for people."""
     if isinstance(fact, TrialStarted):
         screen.say(f"Trial {fact.trial}, seed {fact.seed} ({bench})")
-    elif isinstance(fact, Said):
+    elif isinstance(fact, Said | Noticed):
         screen.say(f"  {fact.t_s:6.2f} s  {fact.text}")
     elif isinstance(fact, PhaseEntered) and fact.phase in ("unload", "release"):
         screen.say(f"  {fact.t_s:6.2f} s  {fact.phase}")

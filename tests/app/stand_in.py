@@ -115,6 +115,7 @@ class StandInBench:
     dataset = None
     calibrations = None
     degraded = ()
+    drift = None
 
     def __init__(self):
         self.hub, self.interlock, self.catalogue = Hub(), Interlock(), load_catalogue()

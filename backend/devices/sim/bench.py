@@ -145,7 +145,8 @@ class SimulatedBench:
             times_s, wrench = times_s[taken], wrench[taken]
         if script.active(name, "nan", t_s):
             return times_s, np.full_like(wrench, np.nan)
-        if script.active(name, "jump", t_s):
+        moved_n = script.drift_n(t_s) + (JUMP_N if script.active(name, "jump", t_s) else 0.0)
+        if moved_n:
             wrench = wrench.copy()
-            wrench[:, 2] += JUMP_N
+            wrench[:, 2] += moved_n
         return times_s, wrench

@@ -9,6 +9,8 @@ from backend.devices.force_torque.dynpick import PERIOD_S, DynpickLanguage
 from backend.devices.force_torque.readout import Readout
 from backend.emulators.dynpick import EmulatedDynpick
 from backend.emulators.faults import Faults
+from backend.emulators.loads import noisy, suffering
+from backend.sensing.drift import DriftWatch
 from backend.wire.dynpick import Record, encode_record
 
 ZERO = 0x2000
@@ -131,3 +133,21 @@ def test_an_emulated_sensor_that_slows_down_is_slow_and_not_silent_and_gets_its_
     assert deliver(6.0) is None
     assert made.readout._clock.period_s == pytest.approx(PERIOD_S, rel=1e-3)
     assert oldest_s < 0.3, "no fault: it was never silent"
+
+
+def test_an_emulated_sensor_that_drifts_is_named_by_what_the_reader_reads():
+    faults, now_s, watch = Faults("force_torque"), 0.0, DriftWatch()
+    faults.begin(now_s)
+    hangs = noisy(lambda now_s: (0.0, 0.0, -14.7, 0.0, 0.0, 0.0))
+    sensor = EmulatedDynpick(suffering(hangs, faults))
+    sensor.pace.faults = faults
+    sensor.receive(now_s, b"S")
+    language = DynpickLanguage(HardwareSettings(), "")
+    readout = Readout(ForceTorqueSettings(), PERIOD_S)
+    faults.inject(6.0, "drift", n_per_s=0.05)
+    while now_s < 30.0 and not ((found := watch.drift()) and found.named):
+        now_s += 0.1
+        stamps_s, wrench = readout.accept(now_s, language.take(sensor.due(now_s)))
+        watch.feed(stamps_s, wrench[:, :3])
+    assert 0.45 < 0.05 * (now_s - 6.0) < 0.75, "before it reaches 1 N"
+    assert found.moved_n == pytest.approx(0.05 * (now_s - 6.0), abs=0.1)

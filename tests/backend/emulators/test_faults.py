@@ -28,6 +28,7 @@ def faults(kind, **more):
         ('at_s = 1\ndevice = "gripper"\nkind = "flip"\nfor = 2', "fault.0.for"),
         ('at_s = 1\ndevice = "force_torque"\nkind = "slow"', "'hz', how many samples a second"),
         ('at_s = 1\ndevice = "gripper"\nkind = "flip"\nhz = 2', "'hz', how many samples a second"),
+        ('at_s = 1\ndevice = "force_torque"\nkind = "drift"', "'n_per_s', by how many N a second"),
     ],
 )
 def test_a_bad_entry_is_one_error_that_names_it(tmp_path, entry, said):

@@ -73,6 +73,7 @@ ALL = [
     facts.Refused(2.2, "IN-CONTACT", "words"),
     facts.EpisodeDecided(2.1, "u", 4, "keep", "ann"),
     facts.Paused(2.3, Fault("DISK-LOW", "what", "so", "then", "disk")),
+    facts.Noticed(2.35, Fault("FT-DRIFT", "what", "so", "then", "force_torque")),
     facts.SetUpAwaited(2.4, "pot", "short", (1.0, -2.0), holds=False),
     facts.OutcomeAwaited(2.5, flow.Outcome.PLACED, "why"),
     facts.PhotoKept(2.6, 1, "trial-1.jpg"),

@@ -46,6 +46,13 @@ def test_a_slow_sensor_has_its_rate_and_takes_the_first_sample_of_each_period():
     assert sum(thinned.takes(5.0 + 0.04 * k, 40.0) for k in range(25)) == 25, "it is no faster"
 
 
+def test_a_drift_grows_as_told_and_stays():
+    script = parse_script(["force_torque:drift=0.05@2+4", "force_torque:drift=0.1@4"])
+    assert [script.drift_n(t_s) for t_s in (0.0, 2.0, 4.0, 5.0, 10.0)] == pytest.approx(
+        [0.0, 0.0, 0.1, 0.25, 0.8]
+    )
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -63,6 +70,8 @@ def test_a_slow_sensor_has_its_rate_and_takes_the_first_sample_of_each_period():
         "force_torque:slow=0@1",
         "force_torque:nan=5@1",
         "arm:slow=5@1",
+        "force_torque:drift@1",
+        "tactile_left:drift=0.1@1",
     ],
 )
 def test_bad_text_is_one_clear_error(text):

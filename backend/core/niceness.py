@@ -1,4 +1,4 @@
-"""How far work in bulk steps back behind the bench and the operator beside it, and these forward."""
+"""How far work in bulk steps back behind the bench and its operator, and a bench steps forward."""
 
 from __future__ import annotations
 

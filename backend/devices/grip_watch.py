@@ -1,7 +1,8 @@
 """Tells a piece that is lost from one that is let go (reliability G1).
 
 Jaws that stop holding without an order to open have lost their piece; jaws that move while they
-hold are losing it. Either ends motion: no probe of it is recorded and nothing is let go on it.
+hold are losing it. Either ends motion: no probe of it is recorded and nothing is let go on it. A
+width that is no number, or none that jaws can have, is no reading: the last one holds, and ages.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ MOVED_MM = 0.3
 """So much the width may change while a piece is held."""
 STANDS_S = 0.3
 """After the jaws began to hold they still close on the gels for this long."""
+LEAST_MM, MOST_MM = -1.0, 1000.0
+"""No jaws have another width."""
 
 
 @runtime_checkable
@@ -33,21 +36,27 @@ class GripWatch:
         self._grips = 0
         self._since_s: float | None = None
         self._width_mm = 0.0
+        self.seen_s = float("-inf")
+        """When the gripper last told a width that is one."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether something was held when it was last seen."""
+        return self._since_s is not None
 
     def check(self, now_s: float) -> Fault | None:
         """Return the fault of a piece that is lost, once; None if all is well."""
         gripper = self._gripper
-        if gripper is None or gripper.state is not DeviceState.READY:
+        if gripper is None:
+            return None
+        status = gripper.status()
+        told = LEAST_MM <= status.width_mm <= MOST_MM
+        self.seen_s = now_s if told else self.seen_s
+        if gripper.state is not DeviceState.READY:
             self._since_s = None
             return None
-        if isinstance(gripper, Ordered):
-            if gripper.letting_go or gripper.grips != self._grips:
-                # A newer grip may close it further; what is let go may leave.
-                self._since_s = None
-            self._grips = gripper.grips
-            if gripper.letting_go:
-                return None
-        status = gripper.status()
+        if self._lets_go(gripper) or not told:
+            return None
         if self._since_s is None:
             self._since_s = now_s if status.holding else None
             self._width_mm = status.width_mm
@@ -63,6 +72,16 @@ class GripWatch:
             self._since_s = None
             return _lost(f"The jaws moved by {moved_mm:+.1f} mm while they held the piece.")
         return None
+
+    def _lets_go(self, gripper: Gripper) -> bool:
+        """Whether what is held may leave now. A newer grip is watched from its own beginning."""
+        if not isinstance(gripper, Ordered):
+            return False
+        if gripper.letting_go or gripper.grips != self._grips:
+            # A newer grip may close it further; what is let go may leave.
+            self._since_s = None
+        self._grips = gripper.grips
+        return gripper.letting_go
 
 
 def _lost(what: str) -> Fault:

@@ -158,11 +158,14 @@ class Supervision:
         self._show(tuple(late), now_s)
 
     def _check_grip(self, now_s: float) -> list[Degraded]:
-        """Return the gripper if it holds a piece and is late; a fault if it stays silent."""
+        """Return the gripper if it holds a piece and is late; a fault if it stays silent.
+
+        One that tells no width is as good as silent.
+        """
         gripper = self._gripper
-        if gripper is None or not gripper.status().holding:
+        if gripper is None or not (self._grip.holds or gripper.status().holding):
             return []
-        last_s = max(self._begun_s, now_s - gripper.health.age_s)
+        last_s = max(self._begun_s, min(now_s - gripper.health.age_s, self._grip.seen_s))
         if now_s - last_s > GRIP_LOST_S:
             self._interlock.raise_fault(_stale("gripper", now_s - last_s))
         return [Degraded("gripper", "silent", last_s)] if now_s - last_s > GRIP_LATE_S else []

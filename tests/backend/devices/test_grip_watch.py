@@ -54,9 +54,21 @@ def test_a_lost_piece_is_one_fault_within_200_ms(held, told):
     assert (fault.code, fault.device) == ("PIECE-LOST", "gripper")
 
 
-def test_a_width_that_is_no_number_is_no_grip(held):
-    held.run(0.1, replace(HELD, width_mm=float("nan")))
+@pytest.mark.parametrize("width_mm", [float("nan"), float("inf"), -40.0, 6.5e4])
+@pytest.mark.parametrize("then", [LOST, replace(HELD, width_mm=19.6)])
+def test_what_is_no_width_loses_no_piece_and_hides_no_loss(held, width_mm, then):
+    held.run(CYCLE_S, replace(HELD, width_mm=width_mm))
+    held.run(0.1, GripStatus(width_mm, float("nan"), holding=False))
+    assert held.faults == []
+    assert held.watch.seen_s == pytest.approx(1.0)
+    held.run(0.1, then)
     assert [fault.code for _, fault in held.faults] == ["PIECE-LOST"]
+
+
+def test_a_force_that_is_no_number_changes_nothing(held):
+    held.run(0.5, replace(HELD, force_n=float("nan")))
+    assert held.faults == []
+    assert held.watch.seen_s == held.now_s
 
 
 def test_what_trembles_below_the_limit_is_held(held):

@@ -219,12 +219,13 @@ class Jaws:
 
     heard_s, holding = 0.0, True
     state, grips, letting_go = DeviceState.READY, 1, False
+    width_mm = 20.0
 
     def __init__(self, bench: Watched) -> None:
         self._bench = bench
 
     def status(self) -> GripStatus:
-        return GripStatus(20.0, 10.0, self.holding)
+        return GripStatus(self.width_mm, 10.0, self.holding)
 
     @property
     def health(self) -> Health:
@@ -251,3 +252,28 @@ def test_a_gripper_that_holds_a_piece_is_degraded_after_300_ms_and_a_fault_after
     jaws.letting_go, jaws.holding = True, False
     bench.run(0.1)
     assert (bench.supervision.degraded, bench.codes()) == ((), []), "empty jaws let nothing fall"
+
+
+def test_a_gripper_that_tells_no_width_while_it_holds_is_as_good_as_silent() -> None:
+    bench = Watched()
+    jaws = Jaws(bench)
+    bench.supervision.begin(0.0, jaws)  # type: ignore[arg-type]
+    for _ in range(60):
+        jaws.heard_s = bench.now_s
+        bench.run(0.02)
+    jaws.width_mm = float("nan")
+    for _ in range(15):
+        jaws.heard_s = bench.now_s
+        bench.run(0.02)
+    assert not bench.interlock.latched
+    jaws.holding, jaws.heard_s = False, bench.now_s
+    bench.run(0.02)
+    assert [(one.device, one.how) for one in bench.supervision.degraded] == [("gripper", "silent")]
+    for _ in range(36):
+        jaws.heard_s = bench.now_s
+        bench.run(0.02)
+    assert bench.codes() == [("GRIP-STALE", "gripper")]
+    bench.interlock.reset()
+    jaws.width_mm, jaws.holding = 20.0, True
+    bench.run(0.04)
+    assert (bench.supervision.degraded, bench.codes()) == ((), []), "well again"

@@ -1,5 +1,9 @@
 """The device wizard: what is in sight is chosen and saved into the lab file."""
 
+import os
+import sys
+from functools import partial
+
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
@@ -8,6 +12,7 @@ from PySide6.QtWidgets import QComboBox
 from app.connect.devices import FIELDS, LEFT, RIGHT
 from backend.config.bench_facts import BenchFacts
 from backend.config.lab import load_lab
+from backend.devices import found
 from backend.rig.connection import Connection
 from tests.backend.rig.scripted import scripted
 
@@ -110,3 +115,38 @@ def test_what_cannot_be_used_is_said_and_not_saved(wizard, file, key, text, said
     wizard.save.click()
     assert said in wizard.said.text()
     assert file.read_text("utf-8") == before
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs limits of the size of files")
+def test_a_disk_that_takes_no_more_is_said_and_the_file_stays_as_it_was(wizard, file):
+    import resource
+
+    before, (soft, hard) = file.read_text("utf-8"), resource.getrlimit(resource.RLIMIT_FSIZE)
+    write(wizard, "wsg.port", "1001")
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
+    try:
+        wizard.save.click()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert wizard.said.text().startswith("The file cannot be written:")
+    assert file.read_text("utf-8") == before
+    assert [one.name for one in file.parent.iterdir() if one.is_file()] == [file.name]
+    wizard.save.click()
+    assert wizard.said.text().startswith("Saved.")
+    assert load_lab(file).settings.wsg.port == 1001
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a pipe under a name")
+def test_looking_opens_no_port_so_that_none_can_hold_it_up_or_answer_wrongly(
+    wizard, file, tmp_path, monkeypatch
+):
+    # Whoever opens this one waits for a writer that never comes.
+    ports = tmp_path / "by-id"
+    ports.mkdir()
+    os.mkfifo(ports / "usb-Silent")
+    monkeypatch.setattr(found, "choices", partial(found.choices, ports=ports))
+    (tmp_path / "names" / "video0" / "name").write_bytes(b"\xff\x00GelSight?")
+    wizard.look.click()
+    offered = wizard.editors["ft.address"]
+    assert [offered.itemText(i) for i in range(offered.count())] == [str(ports / "usb-Silent")]
+    assert "cameras AAAA-1111;" in wizard.said.text()

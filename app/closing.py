@@ -2,14 +2,36 @@
 
 from __future__ import annotations
 
+import os
+import threading
 from collections.abc import Callable
 
 from app.activity import busy
+from app.error_hooks import log
 from app.link import Link
 from widgets.fault_cards import FaultCards, Question
 
 ENDED = "It has ended, and no piece is held. Close the window?"
 """Asked in place of a question about something that ended while it stood."""
+
+LAST_S = 5.0
+"""So long after it was closed the program may hold on to what does not end."""
+
+
+def end_for_sure(after_s: float = LAST_S) -> None:
+    """End this process once ``after_s`` have passed, if it is still there; returns at once.
+
+    For a window that was closed in order: a thread that hangs then must not keep the program.
+    """
+
+    def end() -> None:
+        names = ", ".join(sorted(thread.name for thread in threading.enumerate()))
+        log.error("ended by force; still there: %s", names)
+        os._exit(1)
+
+    last = threading.Timer(after_s, end)
+    last.name, last.daemon = "last word", True
+    last.start()
 
 
 class Closing:

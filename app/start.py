@@ -13,6 +13,7 @@ from PySide6.QtCore import QObject, QTimer
 from PySide6.QtWidgets import QApplication
 
 from app.application import TouchdownApp
+from app.closing import end_for_sure
 from app.error_hooks import ErrorBox, install, log_to
 from app.link import Link
 from app.measure import Measurement
@@ -51,6 +52,8 @@ def run(args: argparse.Namespace) -> int:
         return application.exec()
     finally:
         main.close()
+        # What hangs now holds no label and moves nothing.
+        end_for_sure()
         restore()
 
 

@@ -24,7 +24,7 @@ from backend.emulators.truth import EmulatedTruth
 from backend.objects.catalogue import load_catalogue
 from backend.runs.requests import SceneChoice
 
-END_S = 5.0
+END_S = 1.5
 
 
 class EmulatedProcess:

@@ -11,6 +11,8 @@ from app.label.post import Post
 AHEAD = 3
 """So many episodes before and after the present one are kept ready."""
 CALM_S = 0.08
+JOIN_S = 1.0
+"""It only reads: a disk that hangs is left behind."""
 
 Item = TypeVar("Item")
 
@@ -60,7 +62,7 @@ class Prefetch(Generic[Item]):
         with self._changed:
             self._closed = True
             self._changed.notify()
-        self._thread.join()
+        self._thread.join(JOIN_S)
 
     def _drop(self) -> None:
         for uuid in set(self._items) - set(self._wanted):

@@ -145,7 +145,7 @@ class TrainPresenter:
     def _begin(self, request: TrainingRequest) -> None:
         self._epochs_s, self._cancelling = [], False
         self.thread = TrainingThread(
-            request, self._post, Told(self._begun, self._report, self._ended)
+            request, self._post, Told(self._begun, self._report, self._ended, self._still)
         )
         self._show_progress("starting \N{HORIZONTAL ELLIPSIS}")
         self.show_buttons()
@@ -172,11 +172,18 @@ class TrainPresenter:
             self.thread.close()
         self.thread, self._cancelling = None, False
         self._cards.withdraw()
+        self._still(False)
         self._show_progress("")
         if error is not None:
             self._cards.show_card(words.failure_card(error))
         self.show_buttons()
         self.look()
+
+    def _still(self, on: bool) -> None:
+        if on and self.thread is not None:
+            self._cards.show_card(words.STILL)
+        else:
+            self._cards.clear((words.STILL.code,))
 
     def _read_run(self, folder: Path, *, choose: bool = False) -> None:
         def take(run: TrainingRun) -> None:

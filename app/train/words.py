@@ -28,6 +28,14 @@ SETTINGS = {
     "divide_series": "divides series", "seed": "seed", "piece": "piece",
 }  # fmt: skip
 
+STILL = CardText(
+    "TRAINING-STILL",
+    "The training process does nothing: it was stopped, or waits for something that never comes.",
+    "Nothing is lost; whole epochs are kept.",
+    "Let it go on, or press Cancel: it is ended at once, and Resume goes on from the last epoch.",
+    reset=False,
+)
+
 
 def run_row(run: TrainingRun, in_use: InUse | None, marks: Mapping[str, str]) -> RunRow:
     """Return a training as a row; ``marks`` are the letters of the chosen ones."""

@@ -45,6 +45,11 @@ class TrainingProcess:
         )
         self._send(job.model_dump_json())
 
+    @property
+    def number(self) -> int:
+        """Number of the process."""
+        return self._child.pid
+
     def __enter__(self) -> Self:
         return self
 
@@ -73,6 +78,10 @@ class TrainingProcess:
     def cancel(self) -> None:
         """Ask the child to stop after the present batch; whole epochs are kept for a resume."""
         self._send("cancel")
+
+    def kill(self) -> None:
+        """End the child at once: what it does since the last whole epoch is lost."""
+        self._child.kill()
 
     def close(self) -> None:
         """End the child, whatever it does, and wait for it."""

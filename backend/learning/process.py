@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+import traceback
 
 from pydantic import BaseModel, ValidationError
 
@@ -47,7 +48,12 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    code = main()
+    try:
+        code = main()
+    except Exception:  # noqa: BLE001 - the end of this process, whatever it was
+        # Told here and now: an interpreter that ends in order takes seconds over its libraries.
+        traceback.print_exc()
+        code = 1
     sys.stdout.flush()
     # The listener may still hold the lock of standard input, which a normal exit would wait for.
     os._exit(code)

@@ -16,7 +16,7 @@ from backend.catalogue.run_folder import About, LiveRun
 from backend.catalogue.training_set import LabelChoice, is_dataset
 from backend.catalogue.uuid7 import uuid7
 from backend.config.method import TrainingSettings
-from backend.core.faults import InputError
+from backend.core.faults import FaultError, InputError
 from backend.core.program import program
 from backend.learning.child import TrainingProcess
 from backend.learning.job import Cancelled, Epoch, Finished, Loaded, TrainingJob
@@ -65,7 +65,8 @@ class RecordedTraining:
         self._request = request
         self._run = _begin(request)
         self._child: TrainingProcess | None = None
-        self._cancelled, self._lock = False, threading.Lock()
+        self._cancelled = self._killed = False
+        self._lock = threading.Lock()
 
     @property
     def uuid(self) -> str:
@@ -76,6 +77,12 @@ class RecordedTraining:
     def folder(self) -> Path:
         """Folder of the run."""
         return self._run.folder
+
+    @property
+    def number(self) -> int | None:
+        """Number of the child process, None while there is none."""
+        with self._lock:
+            return None if self._child is None else self._child.number
 
     def reports(self) -> Iterator[Loaded | Epoch | Finished | Cancelled]:
         """Train, and yield what is told once it is kept.
@@ -93,6 +100,10 @@ class RecordedTraining:
                     for report in child.reports():
                         note(run, report)
                         yield report
+                except FaultError:
+                    # One that had to be killed to end is a cancelled one.
+                    if not self._killed:
+                        raise
                 finally:
                     with self._lock:
                         self._child = None
@@ -103,6 +114,14 @@ class RecordedTraining:
             self._cancelled = True
             if self._child is not None:
                 self._child.cancel()
+
+    def kill(self) -> None:
+        """Cancel one that does not react: whole epochs are kept, the present one is lost."""
+        self.cancel()
+        with self._lock:
+            self._killed = True
+            if self._child is not None:
+                self._child.kill()
 
     def _job(self) -> TrainingJob:
         request, out = self._request, self._run.folder / MODEL

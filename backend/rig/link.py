@@ -37,6 +37,8 @@ START_S = 20.0
 ORDER_S = 60.0
 """Longer than any order takes; a rig that dies ends them all at once."""
 END_S = 6.0
+LOST_END_S = 1.5
+"""One that is lost already has nothing left to end in order: it may never answer again."""
 SETTLE_S = 1.0
 """An arm that has just been connected tells its place within a few cycles."""
 
@@ -175,7 +177,7 @@ class RigLink:
             child, self._child = self._child, None
             if child is not None:
                 try:
-                    child.wait(END_S)
+                    child.wait(END_S if self.lost is None else LOST_END_S)
                 except subprocess.TimeoutExpired:
                     child.kill()
                     child.wait()

@@ -9,6 +9,8 @@ from collections.abc import Callable
 BEHIND_S = 0.25
 """A live bench that is later than this against the wall clock gives up catching up."""
 JOIN_S = 5.0
+HUNG_S, HUNG_JOIN_S = 2.0, 0.5
+"""One that has made no step for so long is not waited for as others are."""
 
 
 class LiveThread:
@@ -20,7 +22,7 @@ class LiveThread:
         self._step, self._step_s, self._failed = step, step_s, failed
         self._thread: threading.Thread | None = None
         self._closing = threading.Event()
-        self._speed = 1.0
+        self._speed, self._stepped_s = 1.0, 0.0
         self.pace = 0.0
         """Bench seconds per wall second, measured once a second."""
 
@@ -33,7 +35,7 @@ class LiveThread:
         """Start; ``speed`` bench seconds per wall second. A second time changes nothing."""
         if self._thread is None:
             self._closing.clear()
-            self._speed = speed
+            self._speed, self._stepped_s = speed, time.monotonic()
             self._thread = threading.Thread(target=self._live, name="bench", daemon=True)
             self._thread.start()
 
@@ -43,7 +45,8 @@ class LiveThread:
         if thread is not None:
             settle()
             self._closing.set()
-            thread.join(JOIN_S)
+            hung = time.monotonic() - self._stepped_s > HUNG_S
+            thread.join(HUNG_JOIN_S if hung else JOIN_S)
 
     def _live(self) -> None:
         try:
@@ -60,7 +63,7 @@ class LiveThread:
             self._step()
             steps += 1
             due_s += self._step_s / self._speed
-            now_s = time.monotonic()
+            now_s = self._stepped_s = time.monotonic()
             if now_s - measured_s >= 1.0:
                 self.pace = steps * self._step_s / (now_s - measured_s)
                 measured_s, steps = now_s, 0

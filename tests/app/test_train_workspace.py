@@ -1,6 +1,7 @@
 """A person trains a tiny model in the window, compares, promotes and rolls back."""
 
 import os
+import signal
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -236,7 +237,14 @@ def test_a_killed_child_gives_a_card_and_the_window_lives(desk):
     desk.tiny(epochs=400)
     desk.press(KEY.Key_Return, CTRL)
     desk.until(lambda: len(desk.presenter._epochs_s) >= 1)
-    desk.presenter.thread._training._child._child.kill()
+    child = desk.presenter.thread._training._child._child
+    # Stopped it is told to stand still, for as long as it does.
+    os.kill(child.pid, signal.SIGSTOP)
+    desk.until(lambda: desk.main.cards.codes == ("TRAINING-STILL",))
+    assert "Cancel" in desk.main.cards.card("TRAINING-STILL").text.next_step
+    os.kill(child.pid, signal.SIGCONT)
+    desk.until(lambda: desk.main.cards.codes == ())
+    child.kill()
     desk.ended()
     card = desk.main.cards.card("TRAINING-DIED")
     assert "Resume" in card.text.next_step
@@ -245,6 +253,21 @@ def test_a_killed_child_gives_a_card_and_the_window_lives(desk):
     assert desk.page.form.start.isEnabled()
     assert desk.page.form.resume.isEnabled()
     desk.main.pump.tick()
+
+
+@pytest.mark.slow
+def test_a_stopped_training_is_cancelled_at_once_and_keeps_no_window_from_closing(desk):
+    desk.tiny(epochs=400)
+    desk.press(KEY.Key_Return, CTRL)
+    desk.until(lambda: len(desk.presenter._epochs_s) >= 1)
+    child = desk.presenter.thread._training._child._child
+    os.kill(child.pid, signal.SIGSTOP)
+    desk.presenter.cancel()
+    desk.ended()
+    assert child.returncode == -signal.SIGKILL
+    assert desk.page.runs.texts()[0][1] == "cancelled"
+    assert desk.page.form.resume.isEnabled()
+    assert desk.main.cards.codes == ()
 
 
 @pytest.mark.slow

@@ -1,0 +1,52 @@
+"""Whether another process stands still: stopped by a signal, or each thread waiting for nothing.
+
+A process that is short of a processor, or that waits for a disk, wants to run and is told apart:
+the scheduler says so of each thread. Without ``/proc`` only a stopped one is known.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+import psutil  # type: ignore[import-untyped]
+
+STILL_S = 0.4
+"""So long nothing in it may want to run before it is called still."""
+WANTS = frozenset("RDW")
+
+
+class Standstill:
+    """Looks at the process ``number`` whenever ``look`` is called, a few times in ``STILL_S``."""
+
+    def __init__(self, number: int) -> None:
+        self._folder = Path("/proc") / str(number) / "task"
+        self._process = psutil.Process(number)
+        self._used_s, self._since_s = -1.0, 0.0
+
+    def look(self, now_s: float) -> bool:
+        """Return whether it stands still at ``now_s``, of a clock that goes on; False once gone."""
+        try:
+            used = self._process.cpu_times()
+            states = self._states()
+        except psutil.Error:
+            return False
+        used_s = used.user + used.system
+        if used_s != self._used_s or not states or states & WANTS:
+            self._used_s, self._since_s = used_s, now_s
+            return False
+        return now_s - self._since_s >= STILL_S
+
+    def _states(self) -> set[str]:
+        """Return the scheduler's letters of its threads; empty if they are not known."""
+        found = set[str]()
+        with suppress(FileNotFoundError):
+            for task in self._folder.iterdir():
+                with suppress(FileNotFoundError, ProcessLookupError):
+                    # The name before the letter may hold anything, brackets as well.
+                    found.add((task / "stat").read_bytes().rpartition(b")")[2].split()[0].decode())
+        if "Z" in found:
+            return set()
+        if not found and self._process.status() == psutil.STATUS_STOPPED:
+            return {"T"}
+        return found

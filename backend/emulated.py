@@ -113,6 +113,7 @@ class EmulatedBench:
             address = self._process.set_scene(
                 choice, self._settings, self.plan, folder, self._pieces
             )
+            self._truth = truth = RemoteTruth(scene, address)
             hardware = load(HardwareSettings, folder / BENCH_FILE)
             self._wired = wired = WiredDevices(
                 hardware,
@@ -126,7 +127,6 @@ class EmulatedBench:
             wired.connect(threading.Event())
             wired.home()
             self._present = stack.pop_all()
-        self._truth = truth = RemoteTruth(scene, address)
         wrist = self._settings.wrist
         return Stage(
             clock=self._clock,

@@ -23,6 +23,7 @@ from backend.core.facts import (
     Fact,
     FaultRaised,
     Paused,
+    PhaseEntered,
     Released,
     RunFinished,
     TrialFinished,
@@ -36,7 +37,7 @@ from backend.runs.requests import StackRequest
 from backend.session import Keep
 from tests.bench.registry import Figure, figure
 
-FIRST, TRIALS = 20_000, 60
+FIRST = 20_000
 EARLIEST_S, LATEST_S = 0.5, 16.0
 """When a fault begins, after the devices are there: from the first step of connecting on."""
 SETTLE_S, SURELY_S = 1.0, 4.0
@@ -56,6 +57,11 @@ CAMERA = {
     *("CAMERA-LINK", "CAMERA-STALE", "CAMERA-FROZEN", "CAMERA-DARK", "NO-REFERENCE"),
     *("PROBE-REJECTED", "DEGRADED"),
 }
+LOAD = {
+    *("BACKEND-SILENT", "LEASE-LAPSED", "MXT-LOST", "PRESS-VOID", "FT-STALE", "CAMERA-STALE"),
+    *("PROBE-REJECTED", "DEGRADED"),
+}
+"""What a computer that is busy elsewhere brings about (docs/hardware.md): counted apart."""
 CODES = {
     "arm": ARM,
     "force_torque": WRIST,
@@ -115,9 +121,10 @@ Told = TypeVar("Told", bound=Fact)
 
 @dataclass
 class Heard:
-    """What a trial told."""
+    """What a trial told, and when its arm first moved (monotonic)."""
 
     facts: list[Fact] = field(default_factory=list)
+    moved_s: float = float("inf")
 
     def codes(self) -> set[str]:
         """Return the faults that ended it or made it pause."""
@@ -137,6 +144,8 @@ class Struck:
     at_s: float
     ended: str
     broken: tuple[str, ...]
+    loaded: bool = False
+    """Ended by what the load of the computer brings about, not by the fault."""
 
     def __str__(self) -> str:
         what = f"{self.kind.device} {self.kind.kind} {self.kind.for_s:g} s"
@@ -152,7 +161,10 @@ class Campaign:
         self._heard = Heard()
 
     def _hear(self, fact: Fact) -> None:
-        self._heard.facts.append(fact)
+        heard = self._heard
+        heard.facts.append(fact)
+        if isinstance(fact, PhaseEntered):
+            heard.moved_s = min(heard.moved_s, time.monotonic())
 
     def trial(self, seed: int) -> Struck:
         """Run one; a fault that strikes while its devices are connected ends it there."""
@@ -169,24 +181,30 @@ class Campaign:
         except FaultError as error:
             code = error.fault.code
         lasted_s = time.monotonic() - begun_s
+        codes = self._heard.codes() | ({code} - {""})
+        met = begun_s + at_s > self._heard.moved_s
+        met = met and lasted_s > at_s + kind.for_s + SURELY_S
         self._settle()
-        broken = self._broken(kind, at_s, lasted_s, {code} - {""})
+        broken = self._broken(kind, codes, met=met)
+        loaded = bool(codes) and not codes & CODES[kind.device]
         ends = self._heard.of(TrialFinished)
         ended = ends[-1].outcome.value if ends else code or "nothing told"
         why = ends[-1].reason if ends else ""
         session.reset()
-        return Struck(seed, kind, at_s, f"{ended} after {lasted_s:.0f} s ({why})", tuple(broken))
+        return Struck(
+            seed, kind, at_s, f"{ended} after {lasted_s:.0f} s ({why})", tuple(broken), loaded
+        )
 
-    def _broken(self, kind: Kind, at_s: float, lasted_s: float, raised: set[str]) -> list[str]:
+    def _broken(self, kind: Kind, codes: set[str], *, met: bool) -> list[str]:
+        """Return what does not hold; ``met``: the fault surely struck a trial that went on."""
         heard, session = self._heard, self.bench.session
-        codes = heard.codes() | raised
         seen = self.bench.witnessed()
         assert seen is not None
         released = len(heard.of(Released))
         connected = bool(heard.facts)
-        met = lasted_s > at_s + kind.for_s + SURELY_S
+        allowed = CODES[kind.device] | LOAD
         rows = {
-            f"fault {codes - CODES[kind.device]}": codes <= CODES[kind.device],
+            f"fault {codes - allowed}": codes <= allowed,
             "no fault told": not (kind.ends and met) or bool(codes),
             "nothing says how the run ended": not connected or bool(heard.of(RunFinished)),
             "goes on": not session.engine.busy,
@@ -225,7 +243,7 @@ def witnessed(seen: Witnessed, released: int) -> dict[str, bool]:
     }
 
 
-def campaign(trials: int = TRIALS, first: int = FIRST) -> list[Struck]:
+def campaign(trials: int = len(KINDS), first: int = FIRST) -> list[Struck]:
     """Run trials and return how each ended."""
     with tempfile.TemporaryDirectory() as folder:
         struck = Campaign(Path(folder))
@@ -235,7 +253,7 @@ def campaign(trials: int = TRIALS, first: int = FIRST) -> list[Struck]:
             struck.bench.close()
 
 
-@figure("wired")
+@figure("wired-faults")
 def faults_over_the_wires() -> list[Figure]:
     """How many trials did not end as documented when a device failed in them."""
     ended = campaign()
@@ -244,6 +262,7 @@ def faults_over_the_wires() -> list[Figure]:
     kinds = len({(one.kind.device, one.kind.kind) for one in ended})
     note = f"{len(ended)} faults of {kinds} kinds; ends: "
     note += ", ".join(f"{count} {name}" for name, count in endings.most_common())
+    note += f"; {sum(one.loaded for one in ended)} by a busy computer"
     note += "".join(f"; {one}" for one in broken[:3])
     name = "faults over the wires, in real time: not ended as documented, or an unsafe command"
     return [Figure(name, len(broken), f"of {len(ended)}", "0", not broken, note)]

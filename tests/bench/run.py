@@ -39,6 +39,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.faults",
     "tests.bench.wired",
     "tests.bench.operators_day",
+    "tests.bench.faults_wired",
     "tests.bench.wired_parts",
 )
 """Modules that register figures, in the order of the table."""

@@ -1,0 +1,75 @@
+"""What the emulated devices see of a driver that does what none should do."""
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from backend.config.hardware import MelfaSettings
+from backend.emulators.melfa import EmulatedMelfa
+from backend.emulators.melfa_arm import SPEEDS_RAD_S
+from backend.emulators.truth import EmulatedTruth
+from backend.emulators.witness import REST_ROWS, Witness, Witnessed
+from backend.emulators.wsg import EmulatedWsg
+from backend.wire import wsg_binary
+from backend.wire.melfa_blocks import Kind, Values
+from backend.wire.melfa_joints import CYCLE_S
+from backend.wire.melfa_mxt import Command, Request, encode_request
+from backend.wire.wsg_words import Command as Word
+
+
+def move(joints_rad) -> bytes:
+    target = Values(Kind.JOINT, (*map(float, joints_rad), 0.0, 0.0))
+    return encode_request(Request(Command.MOVE, target, (2, 0, 0, 0), 0))
+
+
+@pytest.fixture
+def melfa():
+    made = EmulatedMelfa(MelfaSettings(), streaming=True)
+    made.controller.advance(1.0)
+    return made
+
+
+def test_a_command_after_an_emergency_stop_is_seen_with_its_delay(melfa):
+    here = melfa.controller.joints.command_rad
+    assert melfa.stream.receive(1.0, move(here)) is not None
+    melfa.controller.press_emergency_stop()
+    assert Witness(melfa).told(0.0).late_command_s == 0.0
+    melfa.stream.receive(1.25, move(here))
+    melfa.stream.receive(1.75, encode_request(Request(Command.NONE, None, (2, 0, 0, 0), 0)))
+    assert Witness(melfa).told(0.0).late_command_s == pytest.approx(0.25)
+
+
+def test_a_step_is_seen_as_a_share_of_the_top_speed(melfa):
+    here = melfa.controller.joints.command_rad.copy()
+    here[0] += 0.8 * SPEEDS_RAD_S[0] * CYCLE_S
+    melfa.stream.receive(1.0, move(here))
+    assert Witness(melfa).told(0.0).step_share == pytest.approx(0.8)
+
+
+def test_force_counts_from_what_hangs_on_the_sensor(melfa):
+    witness = Witness(melfa)
+    hanging = np.tile([0.0, 0.0, -14.7, 0.0, 0.0, 0.0], (REST_ROWS, 1))
+    witness.feel(hanging)
+    witness.feel(hanging + np.array([0.0, 3.0, 4.0, 9.0, 9.0, 9.0]))
+    assert witness.told(0.0).force_n == pytest.approx(5.0)
+
+
+def test_a_motion_asked_of_a_gripper_in_a_fault_is_seen(melfa):
+    gripper = EmulatedWsg()
+    gripper.closed(0.0)  # without a word: the fast stop is latched
+    home = wsg_binary.encode_request(wsg_binary.Request(int(Word.HOME), (1,)))
+    gripper.receive(0.1, home)
+    assert gripper.barred == 1
+
+
+def test_truth_and_witness_are_told_line_by_line(melfa):
+    seen = Witnessed(0.1, 0.0, 0.0, 1, 0, 8.0)
+
+    class Joined:
+        def witnessed(self):
+            return seen
+
+    told = EmulatedTruth(Joined()).receive(0.0, b"seen\nseen\n")
+    assert [json.loads(line) for line in told.splitlines()] == [asdict(seen)] * 2

@@ -106,7 +106,7 @@ class Connection:
         """Home the gripper, with empty jaws and on the operator's word only: the jaws move."""
         gripper = self._gripper()
         if gripper.status().holding:
-            raise RefusedError("HOLDING", "A piece is held: homing would let it go.")
+            raise RefusedError("HOLDING", HELD)
         self._start(lambda: self._home(gripper), ())
 
     def acknowledge(self) -> None:
@@ -248,6 +248,10 @@ def _needs(device: Device) -> Literal["", "home", "acknowledge"]:
     return "" if device.homed else "home"
 
 
+HELD = (
+    "A piece is held: homing would let it go. Take it, and open the jaws in the window (Operate, "
+    "Shift+G); a gripper that has its origin needs no homing."
+)
 NO_WRIST = Fault(
     "NO-WRIST",
     "The wrist sensor is not connected.",

@@ -57,12 +57,16 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class TactileFrame:
-    """One tactile image. ``image``: (240, 320, 3) uint8, BGR; ``t_s`` bench clock at grab."""
+    """One tactile image. ``image``: (240, 320, 3) uint8, BGR; ``t_s`` bench clock at grab.
+
+    ``from_jpeg``: it came over a wire as JPEG, so that it may be damaged unnoticed.
+    """
 
     finger: Finger
     sequence: int
     t_s: float
     image: ImageArray
+    from_jpeg: bool = False
 
     def __post_init__(self) -> None:
         read_only(self.image)

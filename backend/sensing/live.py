@@ -21,8 +21,8 @@ from backend.core.flow import (
     TactileFrame,
 )
 from backend.core.stream import SampleStream, Stream
+from backend.sensing.checked import CheckedTracker
 from backend.sensing.drift import Drift
-from backend.sensing.markers import MarkerTracker
 from backend.sensing.reference import Reference, take_reference
 from backend.sensing.tare import Tare, take_tare
 
@@ -54,7 +54,7 @@ class LiveSensing:
         payload: FloatArray,
     ) -> None:
         self.raw, self.fields, self.wrench = raw, fields, wrench
-        self._trackers = {finger: MarkerTracker(finger) for finger in FINGERS}
+        self._trackers = {finger: CheckedTracker(finger) for finger in FINGERS}
         self._in_air: dict[Finger, Reference] = {}
         self._frame_cursor = {finger: raw.frames[finger].count for finger in FINGERS}
         self._sample_cursor = raw.samples.count
@@ -76,11 +76,18 @@ class LiveSensing:
             frames, cursor, _ = self.raw.frames[finger].since(self._frame_cursor[finger])
             self._frame_cursor[finger] = cursor
             for frame in frames:
-                self.fields[finger].put(frame.t_s, self._trackers[finger].track(frame))
+                field = self._trackers[finger].track(frame)
+                if field is not None:
+                    self.fields[finger].put(frame.t_s, field)
         samples = self.raw.samples.since(self._sample_cursor)
         self._sample_cursor = samples.cursor
         if len(samples.t_s):
             self.wrench.put(samples.t_s, self._tare.apply(samples.values))
+
+    @property
+    def refused(self) -> Mapping[Finger, int]:
+        """Pictures that were delivered but damaged: they have no field, and stay recorded."""
+        return {finger: one.refused for finger, one in self._trackers.items()}
 
     def zero_wrench(self, now_s: float, rest_s: float = 0.2) -> Tare:
         """Take the tare from the last ``rest_s`` of raw samples in air."""
@@ -102,13 +109,13 @@ class LiveSensing:
             taken[finger] = take_reference(newest, self._in_air.get(finger))
         self._in_air = self._in_air or taken
         for finger, reference in taken.items():
-            self._trackers[finger].set_reference(reference)
+            self._trackers[finger].tracker.set_reference(reference)
         return taken
 
     @property
     def references(self) -> Mapping[Finger, Reference]:
         """The references in use, of the fingers that have one."""
-        found = {finger: tracker.reference for finger, tracker in self._trackers.items()}
+        found = {finger: one.tracker.reference for finger, one in self._trackers.items()}
         return {finger: reference for finger, reference in found.items() if reference is not None}
 
     def forget_references(self) -> None:

@@ -19,6 +19,8 @@ class UsualLooks:
 
     def __init__(self) -> None:
         self._usual = np.zeros((MARKERS, 2))
+        self.newest: FloatArray = np.zeros((MARKERS, 2))
+        """Of the last frame, of markers that looked like themselves."""
 
     def recognise_all(self, looks: FloatArray) -> bool:
         """Return whether all 63 look like themselves, and learn from that if they do."""
@@ -26,6 +28,7 @@ class UsualLooks:
         if not ((looks >= own * OWN_RANGE[0]).all() and (looks <= own * OWN_RANGE[1]).all()):
             return False
         own += MEMORY * (looks - own)
+        self.newest = looks
         return True
 
     def recognise(
@@ -50,4 +53,6 @@ class UsualLooks:
         good = ((ratio >= lowest) & (ratio <= highest)).all(axis=1)
         blend = np.where(fresh, MEMORY, 1.0)[:, None]
         self._usual[markers[good]] = (own + blend * (looks - own))[good]
+        self.newest = self.newest.copy()
+        self.newest[markers[good]] = looks[good]
         return np.asarray(good)

@@ -9,7 +9,9 @@ geometry.
 
 from __future__ import annotations
 
+import copy
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +49,19 @@ _REORDER_EVERY = 5
 _NO_BLOB = -1
 
 
+class Memory(NamedTuple):
+    """What a tracker knows from earlier frames; made by it and for it."""
+
+    grid: GridReport
+    locked: bool
+    position_px: FloatArray
+    looks: UsualLooks
+    last_seen_s: FloatArray
+    was_seen: NDArray[np.bool_]
+    hidden: HiddenMarkers
+    restless: int
+
+
 class MarkerTracker:
     """The live tracker of one finger: frames in, marker fields out; deterministic.
 
@@ -80,6 +95,30 @@ class MarkerTracker:
         self._hidden = HiddenMarkers(reference.position_px)
         if not self._locked:
             self._position = reference.position_px.copy()
+
+    @property
+    def looks(self) -> FloatArray:
+        """(63, 2) darkness of each marker in its middle and in all, px², when it was last seen."""
+        return self._looks.newest
+
+    def remember(self) -> Memory:
+        """Return where it stands now, to ``recall`` it after a picture that was none."""
+        return Memory(
+            self.grid,
+            self._locked,
+            self._position,
+            copy.deepcopy(self._looks),
+            self._last_seen_s.copy(),
+            self._was_seen,
+            copy.deepcopy(self._hidden),
+            self._restless,
+        )
+
+    def recall(self, memory: Memory) -> None:
+        """Go on from ``memory``, as if no picture had come since."""
+        self.grid, self._locked, self._position = memory.grid, memory.locked, memory.position_px
+        self._looks, self._hidden, self._restless = memory.looks, memory.hidden, memory.restless
+        self._last_seen_s, self._was_seen = memory.last_seen_s, memory.was_seen
 
     def track(self, frame: TactileFrame) -> MarkerField:
         """Return the markers of ``frame``; frames must come in order of time."""

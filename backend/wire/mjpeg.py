@@ -5,6 +5,8 @@ Source: ITU T.81 annex B (markers; FFh in picture data is always followed by 00h
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from backend.wire.framing import WireError
 
 START, END = b"\xff\xd8\xff", b"\xff\xd9"
@@ -12,6 +14,8 @@ LONGEST = 16 << 20
 """Bytes of one picture; what goes on longer is noise."""
 _SIZED = frozenset({0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF})
 _SCAN = 0xDA
+_TABLES = frozenset({0xC4, 0xDB, 0xDD, _SCAN}) | _SIZED
+"""Huffman codes, quantisation, restarts, scan, frame: what the picture data are read by."""
 
 
 class JpegStream:
@@ -68,16 +72,31 @@ class JpegStream:
 
 def size_px(picture: bytes) -> tuple[int, int]:
     """Return width and height of a JPEG from its frame header; raises ``WireError``."""
-    at = 2
-    while at + 9 <= len(picture) and picture[at] == 0xFF:
-        kind = picture[at + 1]
-        if kind == _SCAN:
-            break
-        if kind in _SIZED:
-            height = int.from_bytes(picture[at + 5 : at + 7], "big")
-            width = int.from_bytes(picture[at + 7 : at + 9], "big")
+    for kind, segment in _segments(picture):
+        if kind in _SIZED and len(segment) >= 5:
+            height, width = int.from_bytes(segment[1:3], "big"), int.from_bytes(segment[3:5], "big")
             if width and height:
                 return width, height
             break
-        at += 2 + max(2, int.from_bytes(picture[at + 2 : at + 4], "big"))
-    raise WireError("header", "jpeg picture", min(at, len(picture)))
+    raise WireError("header", "jpeg picture")
+
+
+def tables(picture: bytes) -> bytes:
+    """Return what the data of a picture are read by, without comments and the maker's own.
+
+    Pictures of one camera have few such headers, so that one bit wrong in it makes a new one.
+    """
+    return b"".join(
+        bytes((kind,)) + segment for kind, segment in _segments(picture) if kind in _TABLES
+    )
+
+
+def _segments(picture: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield kind and content of the segments up to the first scan."""
+    at = 2
+    while at + 4 <= len(picture) and picture[at] == 0xFF:
+        kind, length = picture[at + 1], max(2, int.from_bytes(picture[at + 2 : at + 4], "big"))
+        yield kind, picture[at + 4 : at + 2 + length]
+        if kind == _SCAN:
+            return
+        at += 2 + length

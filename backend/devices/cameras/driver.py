@@ -208,7 +208,8 @@ class TactileCamera:
         if self._gate.fault is not None:
             self._fail(self._gate.fault)
         if image is not None:
-            self._hand_on(TactileFrame(self.finger, sequence, t_s, image))
+            jpeg = isinstance(content, bytes)
+            self._hand_on(TactileFrame(self.finger, sequence, t_s, image, jpeg))
 
     def _hand_on(self, frame: TactileFrame) -> None:
         self._frames.put(frame.t_s, frame)

@@ -10,10 +10,12 @@ from backend.core.flow import Finger, ImageArray
 from backend.devices.cameras.faults import dark_fault, frozen_fault
 from backend.devices.cameras.picture import decode, fit
 from backend.wire.framing import WireError
+from backend.wire.mjpeg import tables
 
 EQUAL_INVALID, EQUAL_FAULT = 3, 10
 """So many equal pictures in a row are no measurement; so many mean that the camera hangs."""
 DARK_S = 3.0
+MOST_HEADERS = 64
 
 
 class Gate:
@@ -29,6 +31,7 @@ class Gate:
         self._last: bytes = b""
         self._equal = 0
         self._lit = False
+        self._headers: dict[bytes, None] = {}
         self.invalid = 0
         self.fault: Fault | None = None
 
@@ -52,6 +55,8 @@ class Gate:
         return None
 
     def _image(self, content: bytes | ImageArray) -> ImageArray | None:
+        if isinstance(content, bytes) and not self._known(content):
+            return None
         crop = self._own.crop_fraction
         crop = self._settings.crop_fraction if crop is None else crop
         try:
@@ -59,3 +64,16 @@ class Gate:
             return fit(whole, crop, self._own.mirror)
         except WireError:
             return None
+
+    def _known(self, content: bytes) -> bool:
+        """Whether this header came before, or is the first; a new one is believed when it returns.
+
+        Cameras that adapt their compression use some dozens of them.
+        """
+        header = tables(content)
+        known = not self._headers or header in self._headers
+        self._headers.pop(header, None)
+        self._headers[header] = None
+        if len(self._headers) > MOST_HEADERS:
+            del self._headers[next(iter(self._headers))]
+        return known

@@ -12,6 +12,9 @@ from backend.wire.mjpeg import size_px
 WIDTH_PX, HEIGHT_PX = 320, 240
 MIRRORS = {"none": None, "x": 1, "y": 0, "both": -1}
 _SHAPE_TOLERANCE = 0.02
+MISSING, LAST_PX = 128, 2
+"""The level that libjpeg gives blocks without data; so many pixels of the last one are looked at,
+as a block has at least after reduced decoding by four."""
 _REDUCED = {
     8: cv2.IMREAD_REDUCED_COLOR_8,
     4: cv2.IMREAD_REDUCED_COLOR_4,
@@ -23,7 +26,8 @@ _REDUCED = {
 def decode(content: bytes, crop_fraction: float) -> ImageArray:
     """Return the picture of a JPEG, decoded no finer than is needed after cropping.
 
-    Raises ``WireError`` if it is damaged so that the decoder notices.
+    Raises ``WireError`` if it is damaged so that the decoder notices, or if its data ended before
+    the picture did.
     """
     width, height = size_px(content)
     kept = 1.0 - 2.0 * crop_fraction
@@ -31,7 +35,18 @@ def decode(content: bytes, crop_fraction: float) -> ImageArray:
     picture = cv2.imdecode(np.frombuffer(content, np.uint8), _REDUCED[next(fits, 1)])
     if picture is None:
         raise WireError("content", "jpeg picture", len(content))
-    return np.asarray(picture, dtype=np.uint8)
+    image = np.asarray(picture, dtype=np.uint8)
+    if _ends_early(image):
+        raise WireError("length", "jpeg picture", len(content))
+    return image
+
+
+def _ends_early(picture: ImageArray) -> bool:
+    """Whether the last pixels are what the decoder puts where data are missing.
+
+    No lit gel ends in a patch of that very grey, without any noise and in all three colours.
+    """
+    return bool((picture[-1, -LAST_PX:] == MISSING).all())
 
 
 def fit(picture: ImageArray, crop_fraction: float, mirror: str) -> ImageArray:

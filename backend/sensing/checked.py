@@ -1,0 +1,164 @@
+"""Follows the markers, and refuses pictures that were damaged on their way though they decode.
+
+A gel moves as one sheet, and its dots stay dots. Damage to a JPEG changes blocks: a marker then
+leaves its neighbours *and* looks another way *and* the picture round it is not the one before,
+moved. One of these alone is no proof: real gels slip, and real dots blur in fast motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from backend.core.flow import (
+    GRID_COLS,
+    GRID_ROWS,
+    MARKERS,
+    Finger,
+    FloatArray,
+    ImageArray,
+    MarkerField,
+    MarkerState,
+    TactileFrame,
+)
+from backend.sensing.detector import HEIGHT_PX, WIDTH_PX
+from backend.sensing.markers import MarkerTracker
+
+JUMP_PX, TORN_PX = 7.0, 3.5
+"""No dot moves so far in one frame, none leaves its neighbours so far: the most in 2,245 steps of
+real gels is 6.3 and 2.7 px. A JPEG that lost one block is shifted by 8."""
+LINE_LEVELS, SURE_LINE_LEVELS = 3.0, 4.0
+"""A change of brightness that begins at one row of blocks and goes on below it: the levels of a
+JPEG count from block to block. Beside a doubtful marker the first is enough."""
+APART_PX, LOOKS_SHARE = 0.2, 0.03
+"""A step that leaves the affine step of the eight neighbours, and a dot so much lighter or darker
+than one frame ago: together they make a marker doubtful."""
+CHANGED_LEVELS, LOCAL_LEVELS, LOCAL_RATIO = 20.0, 6.0, 5.0
+"""Rms over 5 x 5 px of what motion does not explain, in grey levels: damage above the first, and
+above the second where it is so many times that of the other markers."""
+STEADY_FRAMES = 3
+"""A marker seen so often in a row does not vanish from one frame to the next."""
+_PATCH, _WINDOW, _BLOCKS = (25, 25), (5, 5), (WIDTH_PX // 8, HEIGHT_PX // 8)
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """One picture: itself, the means of its 8 x 8 px (30, 40, 3), and its markers."""
+
+    image: ImageArray
+    blocks: NDArray[np.float32]
+    position_px: FloatArray
+    seen: NDArray[np.bool_]
+    looks: FloatArray
+
+
+class CheckedTracker:
+    """The tracker of one finger; ``refused`` counts pictures that were none.
+
+    Never two in a row are refused: what the next one says too is believed, so that a gel which
+    does what is held to be impossible costs every other picture and no more.
+    """
+
+    def __init__(self, finger: Finger) -> None:
+        self.tracker = MarkerTracker(finger)
+        self.refused = 0
+        self._last: _Seen | None = None
+        self._steady = np.zeros(MARKERS, dtype=np.intp)
+        self._doubted = False
+
+    def track(self, frame: TactileFrame) -> MarkerField | None:
+        """Return the markers of ``frame``, as ``MarkerTracker.track``; None: it is no picture.
+
+        Only pictures that came as JPEG are judged.
+        """
+        if not frame.from_jpeg:
+            return self.tracker.track(frame)
+        before = self.tracker.remember()
+        field = self.tracker.track(frame)
+        if frame.image.shape != (HEIGHT_PX, WIDTH_PX, 3):
+            return field
+        blocks = cv2.resize(frame.image, _BLOCKS, interpolation=cv2.INTER_AREA).astype(np.float32)
+        new = _Seen(frame.image, blocks, field.position_px, _seen(field), self.tracker.looks)
+        if not self._doubted and self._last is not None and self._impossible(self._last, new):
+            self.tracker.recall(before)
+            self.refused += 1
+            self._doubted = True
+            return None
+        self._doubted = False
+        self._last = new
+        self._steady = np.where(new.seen, self._steady + 1, 0)
+        return field
+
+    def _impossible(self, last: _Seen, new: _Seen) -> bool:
+        """Whether no gel gets from ``last`` to ``new`` within one frame."""
+        if (~new.seen & (self._steady >= STEADY_FRAMES)).any():
+            return True
+        if not (last.seen & new.seen).all():
+            return False  # the fields were filled in: there is nothing to compare
+        step_px = new.position_px - last.position_px
+        apart_px = step_apart_px(step_px)
+        if np.abs(step_px).max() > JUMP_PX or apart_px.max() > TORN_PX:
+            return True
+        line_levels = float(
+            np.abs(np.diff(np.median(new.blocks - last.blocks, axis=1), axis=0)).max()
+        )
+        if line_levels > SURE_LINE_LEVELS:
+            return True
+        share = np.abs(new.looks / last.looks - 1.0).max(axis=1)
+        doubtful = (apart_px > APART_PX) & (share > LOOKS_SHARE)
+        if not doubtful.any():
+            return False
+        levels = np.array([unexplained_levels(last, new, k) for k in range(MARKERS)])
+        limit = max(LOCAL_LEVELS, LOCAL_RATIO * float(np.median(levels)))
+        found = float(levels[doubtful].max())
+        return line_levels > LINE_LEVELS or found > min(CHANGED_LEVELS, limit)
+
+
+def step_apart_px(step_px: FloatArray) -> FloatArray:
+    """Return (63,) by how much steps (63, 2) leave the affine fit of their eight neighbours'."""
+    apart = _APART @ step_px
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", apart, apart)), dtype=np.float64)
+
+
+def unexplained_levels(last: _Seen, new: _Seen, marker: int) -> float:
+    """Return how far the picture round ``marker`` is from the one before, moved with it."""
+    change = _patch(new, marker) - _patch(last, marker)
+    change -= np.median(change, axis=(0, 1))  # lamps may flicker
+    square = np.einsum("ijk,ijk->ij", change, change) / change.shape[2]
+    return float(np.sqrt(cv2.blur(square, _WINDOW).max()))
+
+
+def _patch(seen: _Seen, marker: int) -> NDArray[np.float32]:
+    u, v = seen.position_px[marker].tolist()
+    return np.asarray(cv2.getRectSubPix(seen.image, _PATCH, (u, v)), dtype=np.float32)
+
+
+def _seen(field: MarkerField) -> NDArray[np.bool_]:
+    return np.asarray(field.state == MarkerState.SEEN)
+
+
+def _neighbours() -> FloatArray:
+    """Return (63, 63): each marker less the affine fit of the eight around it, or next to it at
+    the border.
+    """
+    rows = np.eye(MARKERS)
+    for marker in range(MARKERS):
+        row, col = divmod(marker, GRID_COLS)
+        middle = min(max(row, 1), GRID_ROWS - 2), min(max(col, 1), GRID_COLS - 2)
+        around = [
+            (r, c)
+            for r in range(middle[0] - 1, middle[0] + 2)
+            for c in range(middle[1] - 1, middle[1] + 2)
+            if (r, c) != (row, col)
+        ]
+        fit = np.linalg.pinv(np.array([[1.0, r - row, c - col] for r, c in around]))[0]
+        for (r, c), weight in zip(around, fit, strict=True):
+            rows[marker, r * GRID_COLS + c] -= weight
+    return rows
+
+
+_APART = _neighbours()
+_APART.flags.writeable = False

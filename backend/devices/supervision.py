@@ -15,6 +15,7 @@ import numpy as np
 from backend.core.faults import Fault
 from backend.core.flow import FINGERS, Finger, ImageArray, TactileFrame
 from backend.core.stream import SampleStream, Stream
+from backend.devices.arrivals import TellsSlow
 from backend.devices.degraded import (
     GRIP_LATE_S,
     GRIP_LOST_S,
@@ -148,6 +149,8 @@ class Supervision:
                 self._rates[f"tactile_{finger}"].note(newest.t_s, self._counts[finger] - seen)
         for device, last_s, limit_s in ages:
             slow_s = self._rates[device].slow_since_s
+            if device == "force_torque" and isinstance(self._wrist, TellsSlow):
+                slow_s = slow_s if self._wrist.slow_since_s is None else self._wrist.slow_since_s
             if slow_s is not None:
                 late.append(Degraded(device, "slow", slow_s))
             elif now_s - last_s > LATE_SHARE[device] * limit_s:

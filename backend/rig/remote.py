@@ -154,6 +154,12 @@ class RigForceTorque(_Remote):
         """(6,) rated range, N and N·m; NaN before the first connection."""
         return np.array(self._row.get("rated", [math.nan] * 6))
 
+    @property
+    def slow_since_s(self) -> float | None:
+        """When it began to deliver less than half of its samples; None while it does not."""
+        slow_s: float | None = self._row.get("slow_since_s")
+        return slow_s
+
 
 class RigArm(_Remote):
     """The arm of the rig."""

@@ -7,6 +7,7 @@ from dataclasses import astuple
 from typing import Any
 
 from backend.core.faults import Fault, StaleSampleError, TouchdownError
+from backend.devices.arrivals import TellsSlow
 from backend.devices.homing import Homing
 from backend.devices.protocols import Arm, Device, DeviceState, ForceTorqueSensor, Gripper
 from backend.devices.steps import Steps
@@ -65,8 +66,9 @@ def gripper_row(gripper: Gripper, homing: Homing | None) -> Row:
 
 
 def sensor_row(sensor: ForceTorqueSensor) -> Row:
-    """Return the rated range as well."""
-    return {**device_row(sensor), "rated": sensor.rated.tolist()}
+    """Return the rated range as well, and since when it has been slow."""
+    slow_s = sensor.slow_since_s if isinstance(sensor, TellsSlow) else None
+    return {**device_row(sensor), "rated": sensor.rated.tolist(), "slow_since_s": slow_s}
 
 
 def slow_row(device: Device, now_s: float) -> Row:

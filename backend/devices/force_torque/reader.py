@@ -12,6 +12,7 @@ from backend.config.hardware import ForceTorqueSettings
 from backend.core.faults import Fault, FaultError
 from backend.core.flow import FloatArray
 from backend.core.stream import SampleStream
+from backend.devices.arrivals import Arrivals
 from backend.devices.force_torque.faults import NAME, OVERLOAD, link_fault, sensor_fault
 from backend.devices.force_torque.language import Greeting, Language, NotAnsweredError
 from backend.devices.force_torque.links import Link
@@ -25,7 +26,6 @@ READ_S = 0.005
 BAD_LIMIT = 20
 RATE_WINDOW_S = 1.0
 STALE_S = 0.1
-SLOW_SHARE = 0.5
 CAPACITY = 32_768
 WIRE_TROUBLE = (OSError, WireError, NotAnsweredError)
 
@@ -60,6 +60,7 @@ class ForceTorqueReader:
         self._readout = Readout(settings, 1.0)
         self._received = self._resynchronised = 0
         self._arrivals: deque[tuple[float, int]] = deque(maxlen=8192)
+        self._pace = Arrivals(1.0)
         self.fault: Fault | None = None
 
     @property
@@ -100,14 +101,16 @@ class ForceTorqueReader:
         """One word: good, slow, stuck, stale; fault or closed by the state."""
         if self._state is not DeviceState.READY:
             return str(self._state.value)
-        health = self.health
-        if health.age_s > STALE_S:
+        if self.health.age_s > STALE_S:
             return "stale"
         if self._readout.stuck:
             return "stuck"
-        settled = health.received * self._readout.period_s > RATE_WINDOW_S
-        slow = health.rate_hz * self._readout.period_s < SLOW_SHARE
-        return "slow" if settled and slow else "good"
+        return "good" if self.slow_since_s is None else "slow"
+
+    @property
+    def slow_since_s(self) -> float | None:
+        """When it began to deliver less than half of its samples; None while it does not."""
+        return self._pace.slow_since_s
 
     def describe(self) -> Mapping[str, str | float]:
         """Return make, range, losses and condition."""
@@ -192,6 +195,7 @@ class ForceTorqueReader:
         self._first.clear()
         self._received = self._resynchronised = 0
         self._arrivals.clear()
+        self._pace = Arrivals(period_s)
 
     def _read(self, link: Link, language: Language) -> None:
         """Own the link until told to stop or it is lost; leave a silent sensor behind."""
@@ -222,6 +226,7 @@ class ForceTorqueReader:
         self._samples.put(stamps, values)
         self._received += len(stamps)
         self._arrivals.append((now_s, len(stamps)))
+        self._pace.note(now_s, len(stamps))
         if self.fault is None and (readout.overload or readout.trouble):
             self._latch(OVERLOAD if readout.overload else sensor_fault(readout.trouble))
         self.steps.reached("first sample")

@@ -29,6 +29,8 @@ EARLY_S = 0.1
 
 LEAST_LATE = 20
 """Fewer late samples than these say nothing."""
+SLOW_FOR_S, LEAST_SLOW = 0.1, 4
+"""So long, and with so many samples, the pace of what is ever later tells that it is another."""
 OTHER_RATE = 1.5
 """Samples that come this much slower are those of a sensor that was set to another rate."""
 
@@ -122,20 +124,27 @@ class SampleClock:
         late.least_s = min(late.least_s, delay_s)
         span_s = self._period_s * (number - late.first_number)
         waited_s = arrival_s - late.first_s
+        if waited_s >= SLOW_FOR_S and number - late.first_number >= LEAST_SLOW:
+            told_s = waited_s / (number - late.first_number)
+            if told_s > OTHER_RATE * self._nominal_s:
+                self._begin(arrival_s, number, told_s)
+                return 0
         drained = span_s < 0.5 * LATE_FOR_S and number - late.first_number < LEAST_LATE
         if waited_s < LATE_FOR_S or drained:
             return 0
         self._late = None
         self._chunks.clear()
-        told_s = (arrival_s - late.first_s) / (number - late.first_number)
-        if told_s > OTHER_RATE * self._nominal_s:
-            self._nominal_s = self._period_s = told_s
-            self._offset_s = arrival_s - told_s * number
-            self._chunks.append((number, arrival_s))
-            return 0
         self._offset_s += late.least_s
         self._chunks.append((number, self._taken_s(number)))
         return round(late.least_s / self._period_s)
+
+    def _begin(self, arrival_s: float, number: int, period_s: float) -> None:
+        """Begin the line anew, with another period."""
+        self._late = None
+        self._chunks.clear()
+        self._nominal_s = self._period_s = period_s
+        self._offset_s = arrival_s - period_s * number
+        self._chunks.append((number, arrival_s))
 
 
 def _edge(numbers: FloatArray, arrivals_s: FloatArray) -> float:

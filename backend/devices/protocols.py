@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import Enum
 from typing import Protocol
 
@@ -166,6 +166,10 @@ class ArmStatus:
     error: int
 
 
+SENSIBLE = 1e6
+"""No number of an order is larger, in its unit."""
+
+
 @dataclass(frozen=True, slots=True)
 class PressCommand:
     """Descend until contact, then press.
@@ -174,6 +178,8 @@ class PressCommand:
     the ramp ``depth_mm * min(1, t / ramp_s)`` counted from the back-dated onset (never moving up),
     and holds until ``hold_s`` after the onset. ``stiffness_n_mm``: gains (x, y, z).
     ``max_travel_mm``: without contact on this way the press fails with a ``FaultError``.
+
+    Raises ``ValueError`` for a number that makes no sense: a press without an end has no limits.
     """
 
     depth_mm: float
@@ -183,6 +189,15 @@ class PressCommand:
     threshold_n: float
     max_travel_mm: float
     stiffness_n_mm: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            numbers = value if isinstance(value, tuple) else (value,)
+            if not all(0.0 <= number <= SENSIBLE for number in numbers):
+                raise ValueError(
+                    f"{field.name} of a press must be finite and not negative: {value}"
+                )
 
 
 class Arm(Device, Protocol):

@@ -44,7 +44,7 @@ from backend.devices.streamed.measured import MeasuredPlaces
 from backend.devices.streamed.motion import ARM, NOT_CONNECTED, REPLACED, STOPPED, ArmPress
 from backend.devices.streamed.orders import air_before
 
-INF = math.inf
+INF, LONGEST_S = math.inf, 3600.0
 WAIT_S = 0.02
 OPEN_S = 5.0
 
@@ -282,7 +282,7 @@ class MelfaArm:
     ) -> CommandedMotion:
         """Follow a velocity and a turn for ``for_s``; a renewal goes on without a jerk."""
         velocity, turning = np.array(velocity_mm_s), np.array(turn_rad_s)
-        if not (np.isfinite([*velocity, *turning]).all() and 0.0 < for_s < INF):
+        if not (np.isfinite([*velocity, *turning]).all() and 0.0 < for_s <= LONGEST_S):
             raise ValueError("velocity and time must be finite, the time positive")
         self._require_stream()
         with self._lock:
@@ -303,7 +303,7 @@ class MelfaArm:
     def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> CommandedMotion:
         """Turn the joints for ``for_s``; a renewal goes on without a jerk."""
         speeds = np.array(speeds_rad_s)
-        if not (speeds.shape == (6,) and np.isfinite(speeds).all() and 0.0 < for_s < INF):
+        if not (speeds.shape == (6,) and np.isfinite(speeds).all() and 0.0 < for_s <= LONGEST_S):
             raise ValueError("six speeds and the time must be finite, the time positive")
         self._require_stream()
         with self._lock:
@@ -312,7 +312,8 @@ class MelfaArm:
     def move_joints(self, target_rad: Joints, speed_rad_s: float) -> CommandedMotion:
         """Turn all joints to ``target_rad``; none goes faster than ``speed_rad_s``."""
         target = np.array(target_rad)
-        if not (target.shape == (6,) and np.isfinite(target).all() and 0.0 < speed_rad_s < INF):
+        sensible = target.shape == (6,) and bool((np.abs(target) <= 4.0 * math.pi).all())
+        if not (sensible and 0.0 < speed_rad_s < INF):
             raise ValueError("six joints and the speed must be finite, the speed positive")
         self._require_stream()
         with self._lock:

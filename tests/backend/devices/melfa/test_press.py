@@ -153,7 +153,7 @@ def test_no_wrench_no_press():
     assert raised.value.fault.code == "NOT-PRESSING"
 
 
-@pytest.mark.parametrize("speed_mm_s", [13.0, 0.0, float("nan")])
+@pytest.mark.parametrize("speed_mm_s", [13.0, 0.0])
 def test_an_approach_that_could_trip_is_refused(speed_mm_s):
     rig = ready(8.0)
     with pytest.raises(RefusedError) as raised:
@@ -162,6 +162,15 @@ def test_an_approach_that_could_trip_is_refused(speed_mm_s):
     before = rig.true_mm[2]
     rig.rest(0.1)
     assert rig.true_mm[2] == pytest.approx(before, abs=1e-3)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -1.0, 1e308])
+def test_a_press_with_a_senseless_number_cannot_be_made(bad):
+    for name in ("depth_mm", "ramp_s", "hold_s", "approach_mm_s", "threshold_n", "max_travel_mm"):
+        with pytest.raises(ValueError, match=name):
+            replace(PRESS, **{name: bad})
+    with pytest.raises(ValueError, match="stiffness_n_mm"):
+        replace(PRESS, stiffness_n_mm=(30.0, bad, 15.0))
 
 
 def test_the_arm_stands_while_the_wrench_is_no_number():

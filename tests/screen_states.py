@@ -6,11 +6,13 @@ from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-from backend.core.facts import PhaseEntered, RunFinished, RunStarted, TrialStarted
+from backend.core.facts import Noticed, PhaseEntered, RunFinished, RunStarted, TrialStarted
 from backend.devices.degraded import Degraded
+from backend.runs.drifting import drift_notice
 from backend.runs.engine import Engine
 from backend.runs.plan import CancelledError, Checkpoint, Plan, Waiting
 from backend.runs.requests import RunState
+from backend.sensing.drift import Drift
 from tests.screen_panels import Hand
 
 if TYPE_CHECKING:
@@ -48,9 +50,30 @@ def of_the_pill(stage: Stage) -> Iterator[str]:
     yield "state-recovery"
     bench.interlock.recovering, bench.hand = False, None
     stage.live(0.0)
+    yield from _of_the_wrist(stage)
+
+
+def _of_the_wrist(stage: Stage) -> Iterator[str]:
+    """Slow, then drifting; the chip says it as well."""
+    bench = stage.bench
+    wrist = bench.devices["force_torque"]
+    wrist.rate_hz, usual_hz = 300.0, wrist.rate_hz
     bench.degraded = (Degraded("force_torque", "slow", bench.clock_s() - 12.0),)
+    _look_at_once(stage)
     yield "state-degraded"
-    bench.degraded = ()
+    wrist.rate_hz, bench.degraded = usual_hz, ()
+    bench.drift = drift = Drift(0.52, 11.0, named=True)
+    bench.hub.publish(Noticed(bench.clock_s(), drift_notice(drift)))
+    _look_at_once(stage)
+    yield "state-drift"
+    bench.drift = None
+    stage.main.cards.clear(("FT-DRIFT",))
+    _look_at_once(stage)
+
+
+def _look_at_once(stage: Stage) -> None:
+    """Draw chips and headers now: they wait for their turn by the clock of the wall."""
+    stage.main._chips._drawn_s = stage.main.workspaces["operate"].live._headers_s = float("-inf")
     stage.live(0.0)
 
 

@@ -23,6 +23,9 @@ REFERENCE_S = 5.0
 GRIP_S = 5.0
 MOVE_S = 30.0
 """Longer than any move takes at full speed; one in air may take longer by the override."""
+LEASE_TRIES, AGAIN_S = 3, 0.1
+UNLEASED = ("NO-LEASE", "LEASE-LAPSED")
+"""This program was too late with its permission: nothing else is wrong."""
 WRENCH_AGE_LIMIT_S = 0.015
 """At release the wrench is at most 1.5 control cycles of 10 ms older than the sensor makes it."""
 FRESH_S = 0.5
@@ -44,12 +47,22 @@ def go(bench: Bench, place: Pose, what: str) -> Plan[None]:
     """Move straight to ``place`` in air, as fast as the override lets it.
 
     Where time passes by itself, what kept this program busy may have left the wrench too old for a
-    motion sideways: then the next one is waited for.
+    motion sideways: then the next one is waited for. A permission to move that lapsed on the way
+    holds the arm; the order is given again.
     """
-    if bench.real_time:
-        yield from fresh_wrench(bench)
-    motion = bench.arm.move_to(place, bench.settings.probe.travel_mm_s)
-    yield from motion_done(motion, MOVE_S / bench.interlock.override, what)
+    for left in reversed(range(LEASE_TRIES)):
+        if bench.real_time:
+            yield from fresh_wrench(bench)
+        try:
+            motion = bench.arm.move_to(place, bench.settings.probe.travel_mm_s)
+            yield from motion_done(motion, MOVE_S / bench.interlock.override, what)
+        except (FaultError, RefusedError) as cause:
+            code = cause.reason if isinstance(cause, RefusedError) else cause.fault.code
+            if code not in UNLEASED or not left or bench.interlock.latched:
+                raise
+            yield from rest(bench, AGAIN_S)
+        else:
+            return
 
 
 def take_piece(bench: Bench) -> Plan[None]:

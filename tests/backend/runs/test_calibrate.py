@@ -15,9 +15,12 @@ from backend.core.facts import CalibrationMeasured, Said
 from backend.core.faults import FaultError, RefusedError
 from backend.devices.interlock import LEAST_OVERRIDE, Limits
 from backend.devices.melfa.link_faults import VOID
+from backend.devices.motion import CommandedMotion
+from backend.devices.protocols import Arm, Motion
 from backend.devices.sim.arm import SimArm
 from backend.devices.streamed.pressing import UNFELT
 from backend.objects.shapes import circle, rectangle, regular, square
+from backend.rig.core import LAPSED
 from backend.runs import calibrate_pushes, touching
 from backend.runs.again import VOID_TRIES
 from backend.runs.calibrate_board import along_edges, measure_board
@@ -25,7 +28,7 @@ from backend.runs.calibrate_payload import measure_payload, measure_wrist
 from backend.runs.calibrate_tool import measure_tool
 from backend.runs.descents import middle_of_overlap
 from backend.runs.jig import pick
-from backend.runs.motions import MOVE_S, REFERENCE_S, go, take_piece, zero_wrench
+from backend.runs.motions import LEASE_TRIES, MOVE_S, REFERENCE_S, go, take_piece, zero_wrench
 from backend.runs.requests import CalibrateRequest
 from backend.session import Keep
 from backend.simulation.disturbances import Disturbance, Script
@@ -87,6 +90,38 @@ def test_a_move_may_take_as_long_as_the_override_makes_it() -> None:
     blind.run(lambda bench: go(bench, high, "the hand to rise"))
     assert blind.bench.now_s() - begun_s > MOVE_S
     assert blind.bench.arm.pose(1.0).z_mm == pytest.approx(high.z_mm, abs=0.01)
+
+
+class Lapsing:
+    """The simulated arm; of its motions the first ``times`` are held: the permission lapsed."""
+
+    def __init__(self, arm: Arm, times: int) -> None:
+        self._arm, self.left = arm, times
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._arm, name)
+
+    def move_to(self, *order: object) -> Motion:
+        motion = self._arm.move_to(*order)
+        if self.left:
+            self.left -= 1
+            self._arm.halt()
+            motion = CommandedMotion({})
+            motion.end(LAPSED)
+        return motion
+
+
+@pytest.mark.parametrize("times", [LEASE_TRIES - 1, LEASE_TRIES])
+def test_a_move_whose_permission_lapsed_is_ordered_again_but_not_for_ever(times: int) -> None:
+    blind = BlindBench(CalibrateRequest("payload").scene(), arm=lambda arm: Lapsing(arm, times))
+    here = blind.bench.arm.pose(1.0)
+    high = replace(here, z_mm=here.z_mm + 5.0)
+    if times < LEASE_TRIES:
+        blind.run(lambda bench: go(bench, high, "the hand to rise"))
+        assert blind.bench.arm.pose(1.0).z_mm == pytest.approx(high.z_mm, abs=0.01)
+    else:
+        with pytest.raises(FaultError, match="LEASE-LAPSED"):
+            blind.run(lambda bench: go(bench, high, "the hand to rise"))
 
 
 @pytest.mark.parametrize("bursts", [1, 40])

@@ -51,7 +51,13 @@ from backend.runs.plans import plan_of
 from backend.runs.recording import Keep, Recorder
 from backend.runs.requests import Request, RunStatus, SceneChoice, SetRequest
 from backend.runs.stage import Check, MakeStage, Stage
-from backend.runs.standing import FaultTeller, refuse_contact, refuse_on_devices, stop_with
+from backend.runs.standing import (
+    FaultTeller,
+    latch_lost,
+    refuse_contact,
+    refuse_on_devices,
+    stop_with,
+)
 from backend.sensing.drift import Drift
 from backend.sensing.live import LiveSensing, RawStreams
 
@@ -249,8 +255,7 @@ class Session:
 
     def advance(self) -> None:
         """Move the bench by one step and process what the sensors delivered."""
-        if self.connection is not None:
-            self.connection.watch(self.interlock.raise_fault)
+        latch_lost(self.devices.values(), self.interlock)
         if (scene := self._scene) is not None:
             scene.hand.tick()
             scene.stage.advance(STEP_US)
@@ -288,8 +293,7 @@ class Session:
             raise RefusedError("BY-HAND", "The bench is being moved by hand: let go first.")
 
     def _plan(self, request: Request) -> Plan[None]:
-        if self.connection is not None:
-            refuse_on_devices(self.connection, request)
+        refuse_on_devices(self.connection, request)
         self._used = calibrations_for(request, self.facts.mode, self.calibrations, self.devices)
         run_id = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")[:-3]
         host = RunHost(

@@ -125,13 +125,6 @@ class Connection:
             thread.join(limit_s)
         return not self.busy
 
-    def watch(self, raise_fault: Callable[[Fault], None]) -> None:
-        """Tell the fault of each device that was lost."""
-        for device in self.devices.values():
-            fault = fault_of(device)
-            if fault is not None and device.state is DeviceState.FAULT:
-                raise_fault(fault)
-
     def close(self) -> None:
         """Cancel, then close all, the arm first."""
         self.cancel()

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from backend.core.facts import Fact, FaultRaised, FaultsReset
 from backend.core.faults import RefusedError
 from backend.core.hub import Hub
 from backend.devices.interlock import Interlock
-from backend.rig.connection import Connection
+from backend.devices.protocols import Device, DeviceState
+from backend.rig.connection import Connection, fault_of
 from backend.runs.hand import Hand
 from backend.runs.requests import Request, StackRequest
 
 
-def refuse_on_devices(connection: Connection, request: Request) -> None:
-    """Raise ``RefusedError`` for what only a simulation can do, or while a device is away."""
+def refuse_on_devices(connection: Connection | None, request: Request) -> None:
+    """Raise ``RefusedError`` for what only a simulation can do, or while a device is away.
+
+    Where each scene has its own devices (None) there is nothing to refuse.
+    """
+    if connection is None:
+        return
     if isinstance(request, StackRequest) and request.strategy == "pick-and-place":
         raise RefusedError("SIMULATED-ONLY", "Letting go untested is for simulations only.")
     if missing := connection.missing():
@@ -37,6 +45,14 @@ def stop_with(connection: Connection, interlock: Interlock) -> None:
         stop = getattr(connection.devices.get(name), "stop", None)
         if stop is not None:
             interlock.on_stop(stop)
+
+
+def latch_lost(devices: Iterable[Device], interlock: Interlock) -> None:
+    """Latch the fault of each device that was lost, or that has a fault of its own."""
+    for device in devices:
+        fault = fault_of(device)
+        if fault is not None and device.state is DeviceState.FAULT:
+            interlock.raise_fault(fault)
 
 
 class FaultTeller:

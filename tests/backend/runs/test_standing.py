@@ -1,0 +1,33 @@
+"""A device of a scene that has a fault of its own latches it, whoever made the scene."""
+
+from dataclasses import dataclass, replace
+
+from backend.assembly import SimulatedBenchChoice, simulated_session
+from backend.core.faults import Fault
+from backend.devices.protocols import DeviceState
+from backend.runs.requests import SceneChoice
+from backend.session import Keep
+
+POWER = Fault("WSG-DEVICE", "Its supply voltage is out of range.", "It stands.", "Look at it.")
+
+
+@dataclass
+class Failing:
+    """A gripper that tells a fault."""
+
+    state: DeviceState = DeviceState.READY
+    fault: Fault | None = None
+
+
+def test_a_fault_of_a_device_is_latched_with_the_next_step():
+    session = simulated_session(SimulatedBenchChoice(), keep=Keep(None))
+    session.prepare(SceneChoice("pot", ("short",), 1))
+    scene, gripper = session._scene, Failing()
+    devices = {**scene.stage.devices, "gripper": gripper}
+    session._scene = replace(scene, stage=replace(scene.stage, devices=devices))
+    session.advance()
+    assert not session.interlock.latched
+    gripper.state, gripper.fault = DeviceState.FAULT, POWER
+    session.advance()
+    assert [fault.code for fault in session.interlock.faults] == ["WSG-DEVICE"]
+    session.close()

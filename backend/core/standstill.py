@@ -11,7 +11,7 @@ from pathlib import Path
 
 import psutil  # type: ignore[import-untyped]
 
-STILL_S = 0.4
+STILL_S = 0.3
 """So long nothing in it may want to run before it is called still."""
 WANTS = frozenset("RDW")
 

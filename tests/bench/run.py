@@ -40,6 +40,9 @@ MODULES: tuple[str, ...] = (
     "tests.bench.wired",
     "tests.bench.operators_day",
     "tests.bench.faults_wired",
+    "tests.bench.fault_streams",
+    "tests.bench.fault_data",
+    "tests.bench.fault_workers",
     "tests.bench.wired_parts",
 )
 """Modules that register figures, in the order of the table."""

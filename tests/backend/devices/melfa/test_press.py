@@ -129,8 +129,9 @@ def test_the_slope_is_that_of_the_spring():
     assert slope_of(8.0) is None
 
 
-def test_a_contact_without_a_gel_is_drawn_back_from():
-    rig = ready(150.0)
+@pytest.mark.parametrize("stiff_n_mm", [150.0, 200.0])
+def test_a_contact_without_a_gel_is_drawn_back_from(stiff_n_mm):
+    rig = ready(stiff_n_mm)
     motion = rig.arm.press(PRESS)
     finish(rig, motion)
     with pytest.raises(FaultError) as raised:

@@ -1,0 +1,241 @@
+"""Damage on the wires, in the amounts of the fault list: noise, flipped bits, lost packets.
+
+By hand-wound clock, but for the speed of the decoders, which is processor time.
+"""
+
+from __future__ import annotations
+
+import random
+import threading
+import time
+import tracemalloc
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from backend.config.hardware import ForceTorqueSettings, HardwareSettings
+from backend.core.flow import FloatArray, Pose
+from backend.devices.force_torque.dynpick import PERIOD_S, DynpickLanguage
+from backend.devices.force_torque.readout import Readout
+from backend.devices.protocols import DeviceState
+from backend.wire.dynpick import Record, encode_record
+from backend.wire.melfa_mxt import decode_request
+from tests.backend.devices.emulated_arm import Rig
+from tests.backend.devices.melfa.test_stream import LEAD_MM, SPEED_MM_S, doing
+from tests.backend.wire.codecs import CODECS, IN
+from tests.backend.wire.vectors import VECTORS, data
+from tests.bench.registry import Figure, figure
+
+NOISE_BYTES, PIECE, BLOCK = 10_000_000, 256, 1_000_000
+LINE_BYTES_S = {
+    "dynpick": 92_160, "leptrino": 46_080, "bota": 46_080, "optoforce": 92_160,
+    "robotiq-ft300": 1_920, "wsg-binary": 11_520, "wsg-gcl": 11_520, "melfa-r3": 11_520,
+}  # fmt: skip
+"""What the fastest serial line of a device carries; those on a network are asked by turns."""
+TIMES_LINE, MOST_BYTES = 20.0, 1_000_000
+HEADS = {"bota": 1, "robotiq-ft300": 2, "optoforce": 4, "wsg-binary": 6}
+"""Bytes of a frame before what its checksum of 16 bits is there for."""
+FRAMES, FLIPPED = 500_000, 100_000
+COUNTS_PER_N, MOST_STEP_N = 65, 50.0
+LOSSES, MINUTES = (0.05, 0.20), 10.0
+ERRORS = (2000, 2601, 4140, 6020, 4242, 50, 61, 70)
+STATES = ("stand", "travel", "jog", "press")
+
+
+@figure("faults")
+def noise_on_every_line() -> list[Figure]:
+    """10 MB of noise into each decoder of what devices send: its speed, and what it keeps."""
+    slowest, most, names = np.inf, 0, []
+    for name, line in LINE_BYTES_S.items():
+        decoder, rng = CODECS[(name, IN)].stream, random.Random(name)
+        assert decoder is not None
+        stream, took_s = decoder(), 0.0
+        for _ in range(NOISE_BYTES // BLOCK):
+            noise = rng.randbytes(BLOCK)
+            begun_s = time.process_time()
+            for at in range(0, BLOCK, PIECE):
+                stream.feed(noise[at : at + PIECE])
+            took_s += time.process_time() - begun_s
+        times = NOISE_BYTES / took_s / line
+        slowest = min(slowest, times)
+        names.append(f"{name} {times:.0f}")
+        # Apart: whoever counts memory is slow.
+        noise = rng.randbytes(BLOCK)
+        tracemalloc.start()
+        for at in range(0, BLOCK, PIECE):
+            stream.feed(noise[at : at + PIECE])
+        most = max(most, tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    return [
+        Figure("10 MB of noise, slowest decoder, times its line", float(slowest), "", ">= 20",
+               slowest >= TIMES_LINE, "no exception; " + ", ".join(names)),
+        Figure("most memory meanwhile", most / 1e6, "MB", "< 1", most < MOST_BYTES),
+    ]  # fmt: skip
+
+
+@figure("faults")
+def noise_in_frames_with_checksum() -> list[Figure]:
+    """Frames with the right head and length and noise for the rest: how many are believed."""
+    believed, names = 0, []
+    for name, head in HEADS.items():
+        codec, rng = CODECS[(name, IN)], random.Random(name)
+        assert codec.stream is not None
+        whole = _a_frame(name)
+        taken = 0
+        for _ in range(FRAMES):
+            stream = codec.stream()
+            taken += len(stream.feed(whole[:head] + rng.randbytes(len(whole) - head)))
+        believed += taken
+        names.append(f"{name} {taken}")
+    frames = FRAMES * len(HEADS)
+    due = frames / 65_536
+    # What chance alone does to such a count.
+    ok = believed <= due + 3.0 * due**0.5
+    told = f"of {frames} frames; chance lets {due:.0f} pass; " + ", ".join(names)
+    return [
+        Figure("frames of noise believed, of 65,536", 65_536 * believed / frames, "",
+               "<= 1 and three sigma of chance", ok, told)
+    ]  # fmt: skip
+
+
+def _a_frame(name: str) -> bytes:
+    """Return the longest published frame of what a device sends in one piece."""
+    codec = CODECS[(name, IN)]
+    found = [
+        data(vector)
+        for vector, about in VECTORS.items()
+        if about["device"] == name and about["direction"] == IN and about.get("valid", True)
+    ]
+    single = [frame for frame in found if len(codec.messages(frame)) == 1]
+    return max(single, key=len)
+
+
+@figure("faults")
+def flipped_bits_without_checksum() -> list[Figure]:
+    """One bit in each of 100,000 records of a sensor that has no checksum, in air."""
+    rng, noise = random.Random(7), np.random.default_rng(7)
+    settings = HardwareSettings.model_validate({"dynpick": {"sensitivity": (COUNTS_PER_N,) * 6}})
+    language = DynpickLanguage(settings, "")
+    readout = Readout(ForceTorqueSettings(), PERIOD_S)
+    believed = [np.zeros((0, 6))]
+    for number in range(FLIPPED):
+        # Nine whole records for each damaged one.
+        counts = 0x2000 + noise.integers(-9, 10, (10, 6))
+        records = [
+            encode_record(Record((10 * number + k) % 10, tuple(map(int, row))))
+            for k, row in enumerate(counts)
+        ]
+        hurt = bytearray(records[4])
+        place = rng.randrange(8 * len(hurt))
+        hurt[place // 8] ^= 1 << place % 8
+        content = b"".join([*records[:4], bytes(hurt), *records[5:]])
+        _, values = readout.accept(0.01 * (number + 1), language.take(content))
+        believed.append(values[np.isfinite(values).all(axis=1)])
+    values = np.concatenate(believed)
+    forces = values[:, :3]
+    step_n = float(np.linalg.norm(np.diff(forces, axis=0), axis=1).max())
+    wrong = int((np.abs(forces).max(axis=1) > 1.0).sum())
+    told = f"{len(values)} samples of {10 * FLIPPED} records, {wrong} of them off by over 1 N"
+    return [
+        Figure("flipped bits without checksum, largest step believed", step_n, "N", "<= 50",
+               step_n <= MOST_STEP_N and len(values) > 8 * FLIPPED, told)
+    ]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Travelled:
+    ratio: float
+    backwards: int
+    travels: int
+    well: bool
+
+
+def _travelled(loss: float, minutes: float) -> _Travelled:
+    """Travel up and down for so long while packets are lost both ways."""
+    rig = Rig()
+    rig.arm.connect(1.0, threading.Event())
+    rig.rest(0.1)
+    rig.wires.link.loss = loss
+    ratio, backwards, travels = 0.0, 0, 0
+    goals, end_s = (160.0, 60.0), rig.wires.clock.now_s() + 60.0 * minutes
+    while rig.wires.clock.now_s() < end_s and rig.arm.state is DeviceState.READY:
+        goal_mm = goals[travels % 2]
+        del rig.wires.packets[:]
+        motion = rig.arm.move_to(Pose(0.0, 0.0, goal_mm), SPEED_MM_S)
+        while not motion.done:
+            rig.rest(0.5)
+        told = _places(rig)
+        ratio = max(ratio, float(np.linalg.norm(np.diff(told, axis=0), axis=1).max()) / LEAD_MM)
+        way = 1.0 if goal_mm == goals[0] else -1.0
+        backwards += int((way * np.diff(told[:, 2]) < -1e-4).sum())
+        travels += 1
+    return _Travelled(ratio, backwards, travels, rig.arm.state is DeviceState.READY)
+
+
+def _places(rig: Rig) -> FloatArray:
+    """Where the commands since the last clearing put the hand: (n, 3) mm."""
+    targets = [decode_request(packet).target for _, packet in rig.wires.packets]
+    axes = [np.array(target.axes[:6]) for target in targets if target is not None]
+    return np.array([rig.placing.pivot_mm(joints) for joints in axes])
+
+
+@figure("faults")
+def ten_minutes_of_lost_packets() -> list[Figure]:
+    """5 and 20 % lost each way for ten minutes of travelling: steps, and their direction."""
+    rows = []
+    for loss in LOSSES:
+        found = _travelled(loss, MINUTES)
+        ok = found.well and found.ratio <= 1.05 and found.backwards == 0
+        told = f"{found.travels} travels, {found.backwards} steps back" + (
+            "" if found.well else ", a fault"
+        )
+        name = f"{100 * loss:.0f} % of the packets lost for 10 min: largest step"
+        rows.append(Figure(name, found.ratio, "leads", "<= 1.05, no fault, none back", ok, told))
+    return rows
+
+
+@figure("faults")
+def errors_in_every_state() -> list[Figure]:
+    """Each error of the list in each state of the arm: commands after it, and the first anew."""
+    kinds: Sequence[tuple[str, Callable[[Rig], None]]] = [
+        *((str(n), lambda rig, n=n: rig.device.controller.raise_error(n)) for n in ERRORS),
+        ("servo off", lambda rig: rig.device.controller.switch_servo(False)),
+        ("program ended", lambda rig: rig.device.controller.finish_program()),
+    ]
+    broken, count = [], 0
+    for name, happen in kinds:
+        for state in STATES:
+            found = _after(state, happen, name if name.isdigit() else "")
+            broken += [f"{name} while {state}: {what}" for what in found]
+            count += 1
+    text = "errors of the controller not ended as documented"
+    told = f"{count} pairs of event and state" + "".join(f"; {one}" for one in broken[:3])
+    return [Figure(text, len(broken), "", "0", not broken, told)]
+
+
+def _after(state: str, happen: Callable[[Rig], None], said: str) -> list[str]:
+    """Return what does not hold after the event, and after the connection that follows."""
+    rig = Rig()
+    rig.arm.connect(1.0, threading.Event())
+    rig.rest(0.1)
+    doing(rig, state)
+    happen(rig)
+    followed = rig.device.stream.commands
+    rig.rest(0.35)
+    fault = rig.arm.fault
+    rows = {
+        "no fault": rig.arm.state is DeviceState.FAULT and fault is not None,
+        "not told": fault is None or said in fault.what,
+    }
+    rig.arm.close()
+    rows["a command followed"] = rig.device.stream.commands == followed
+    rig.device.controller.emergency = False
+    rig.device.controller.reset_error()
+    here_mm = rig.true_mm
+    del rig.wires.packets[:]
+    rig.arm.connect(1.0, threading.Event())
+    rig.rest(0.1)
+    rows["not ready again"] = rig.arm.state is DeviceState.READY
+    rows["not the echo first"] = bool(np.abs(_places(rig) - here_mm).max() < 0.01)
+    return [name for name, holds in rows.items() if not holds]

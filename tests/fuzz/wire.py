@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import faulthandler
 import random
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -161,15 +162,16 @@ def inputs(key: Key, seed: int) -> Iterator[tuple[bytes, int | None]]:
 def fuzz(key: Key, seed: int, enough: Callable[[Count], bool]) -> Count:
     """Feed one decoder until it is ``enough``."""
     count, armed_s = Count(), float("-inf")
+    # By processor time, so that a computer that is busy elsewhere is no hang: told, then killed.
+    faulthandler.register(signal.SIGVTALRM, chain=True)
     for content, cut in inputs(key, seed):
         if enough(count):
             break
-        # Not for every input: each time costs a thread.
         if time.monotonic() - armed_s > ARMED_S:
-            faulthandler.dump_traceback_later(HANG_S + ARMED_S, exit=True)
+            signal.setitimer(signal.ITIMER_VIRTUAL, HANG_S + ARMED_S)
             armed_s = time.monotonic()
         attempt(key, content, cut, count)
-    faulthandler.cancel_dump_traceback_later()
+    signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
     return count
 
 
@@ -177,7 +179,8 @@ def main() -> int:
     """Fuzz every decoder (or those named) for some minutes each; exit code 1 with findings."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("devices", nargs="*", help="such as wsg-binary; none: all")
-    parser.add_argument("--minutes", type=float, default=10.0, help="of processor time per decoder (10)")
+    told = "of processor time per decoder (10)"
+    parser.add_argument("--minutes", type=float, default=10.0, help=told)
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     screen, bad = Screen(), 0

@@ -171,9 +171,10 @@ def test_the_end_of_the_range_is_a_fault_and_no_number(wired):
     until(lambda: wired.driver.fault is not None)
     assert wired.driver.fault.code in ("FT-OVERLOAD", "FT-SENSOR")
     assert wired.driver.state is DeviceState.FAULT
+    # Over the link the word of the fault may come before the last samples.
+    until(lambda: not np.isfinite(wired.driver.samples.since(begin).values).all())
     values = wired.driver.samples.since(begin).values
     finite = values[np.isfinite(values).all(axis=1)]
-    assert len(finite) < len(values)
     assert not len(finite) or np.abs(finite - LOAD).max() < 1.0
 
 

@@ -30,6 +30,11 @@ from backend.sensing.markers import MarkerTracker
 JUMP_PX, TORN_PX = 7.0, 3.5
 """No dot moves so far in one frame, none leaves its neighbours so far: the most in 2,245 steps of
 real gels is 6.3 and 2.7 px. A JPEG that lost one block is shifted by 8."""
+ALONG_PX, STIFF_SHARE = 0.8, 0.2
+"""A row that moved along itself by more than the first, and bent by less than this share of that:
+real rows bend by 0.38 of it and more."""
+TINT_LEVELS = 1.0
+"""White balance and exposure are locked: real pictures change their colour by 0.3 at most."""
 LINE_LEVELS, SURE_LINE_LEVELS = 3.0, 4.0
 """A change of brightness that begins at one row of blocks and goes on below it: the levels of a
 JPEG count from block to block. Beside a doubtful marker the first is enough."""
@@ -41,6 +46,9 @@ CHANGED_LEVELS, LOCAL_LEVELS, LOCAL_RATIO = 20.0, 6.0, 5.0
 above the second where it is so many times that of the other markers."""
 STEADY_FRAMES = 3
 """A marker seen so often in a row does not vanish from one frame to the next."""
+EDGE_PX = 20.0
+"""Nearer to the border it may: its dot is cut there."""
+_FAR_PX = np.array([WIDTH_PX, HEIGHT_PX])
 _PATCH, _WINDOW, _BLOCKS = (25, 25), (5, 5), (WIDTH_PX // 8, HEIGHT_PX // 8)
 
 
@@ -94,13 +102,15 @@ class CheckedTracker:
 
     def _impossible(self, last: _Seen, new: _Seen) -> bool:
         """Whether no gel gets from ``last`` to ``new`` within one frame."""
-        if (~new.seen & (self._steady >= STEADY_FRAMES)).any():
+        inside = (last.position_px > EDGE_PX) & (last.position_px < _FAR_PX - EDGE_PX)
+        if (~new.seen & (self._steady >= STEADY_FRAMES) & inside.all(axis=1)).any():
             return True
-        if not (last.seen & new.seen).all():
-            return False  # the fields were filled in: there is nothing to compare
+        both = last.seen & new.seen
         step_px = new.position_px - last.position_px
-        apart_px = step_apart_px(step_px)
-        if np.abs(step_px).max() > JUMP_PX or apart_px.max() > TORN_PX:
+        apart_px = np.where(both, step_apart_px(step_px), 0.0)
+        if np.abs(step_px[both]).max(initial=0.0) > JUMP_PX or apart_px.max() > TORN_PX:
+            return True
+        if shifted_along_rows(step_px) or tint_levels(last.blocks, new.blocks) > TINT_LEVELS:
             return True
         line_levels = float(
             np.abs(np.diff(np.median(new.blocks - last.blocks, axis=1), axis=0)).max()
@@ -121,6 +131,28 @@ def step_apart_px(step_px: FloatArray) -> FloatArray:
     """Return (63,) by how much steps (63, 2) leave the affine fit of their eight neighbours'."""
     apart = _APART @ step_px
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", apart, apart)), dtype=np.float64)
+
+
+def shifted_along_rows(step_px: FloatArray) -> bool:
+    """Whether steps (63, 2) move a whole row of markers along itself, stiffly: a JPEG that lost or
+    gained a block is shifted so from there on, and a gel, which is held at its rim, never.
+    """
+    rows = step_px.reshape(GRID_ROWS, GRID_COLS, 2)
+    mean = rows.mean(axis=1)
+    along = np.abs(mean[:, 0])
+    spread = np.abs(rows - mean[:, None]).max(axis=(1, 2))
+    stiff = (spread < STIFF_SHARE * along) & (np.abs(mean[:, 1]) < STIFF_SHARE * along)
+    return bool((stiff & (along > ALONG_PX)).any())
+
+
+def tint_levels(last: NDArray[np.float32], new: NDArray[np.float32]) -> float:
+    """Return by how many levels the colour of all changed, beyond lighter or darker lamps.
+
+    ``last``, ``new``: (30, 40, 3) means of blocks.
+    """
+    before, after = last.mean(axis=(0, 1)), new.mean(axis=(0, 1))
+    gain = float(after.sum()) / max(float(before.sum()), 1.0)
+    return float(np.abs(after - gain * before).max())
 
 
 def unexplained_levels(last: _Seen, new: _Seen, marker: int) -> float:

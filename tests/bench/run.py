@@ -37,6 +37,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.arm",
     "tests.bench.arm_rig",
     "tests.bench.faults",
+    "tests.bench.faults_pictures",
     "tests.bench.wired",
     "tests.bench.operators_day",
     "tests.bench.faults_wired",

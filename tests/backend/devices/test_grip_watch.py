@@ -65,6 +65,20 @@ def test_what_is_no_width_loses_no_piece_and_hides_no_loss(held, width_mm, then)
     assert [fault.code for _, fault in held.faults] == ["PIECE-LOST"]
 
 
+def test_a_grip_that_weakens_is_losing_its_piece(held):
+    held.run(0.08, replace(HELD, force_n=4.9))
+    held.run(0.5, replace(HELD, force_n=5.1))
+    assert held.faults == []
+    weak_s = held.now_s
+    held.run(0.04, replace(HELD, force_n=4.0))
+    held.run(0.04, replace(HELD, force_n=float("nan")))
+    held.run(0.5, replace(HELD, force_n=4.0))
+    ((found_s, fault),) = held.faults
+    assert 0.1 <= found_s - weak_s <= 0.2
+    assert fault.code == "PIECE-LOST"
+    assert "10.0 to 4.0 N" in fault.what
+
+
 def test_a_force_that_is_no_number_changes_nothing(held):
     held.run(0.5, replace(HELD, force_n=float("nan")))
     assert held.faults == []

@@ -1,5 +1,6 @@
 """Frozen pictures are found at once, and noise alone keeps a picture of a still gel alive."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -47,3 +48,33 @@ def test_an_empty_buffer_that_is_called_a_picture_is_none():
     judge = gate()
     assert judge.judge(0.0, STILL) is not None
     assert [judge.judge(0.04 * k, b"") for k in range(1, 4)] == [None] * 3
+
+
+def picture(seed, quality=90):
+    rng = np.random.default_rng(seed)
+    noise = np.kron(rng.integers(40, 200, (30, 40, 3)), np.ones((8, 8, 1))).astype(np.uint8)
+    return cv2.imencode(".jpg", noise, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+
+
+def test_data_that_end_early_are_no_picture():
+    judge, whole = gate(), picture(1)
+    assert judge.judge(0.0, whole) is not None
+    short = whole[:-900] + whole[-2:]
+    assert cv2.imdecode(np.frombuffer(short, np.uint8), cv2.IMREAD_COLOR) is not None
+    assert judge.judge(0.04, short) is None
+    assert (judge.invalid, judge.fault) == (1, None)
+
+
+def test_a_header_that_changed_is_believed_when_it_comes_again():
+    judge = gate()
+    qualities = [90, 90, 80, 80, 90, 70, 90, 70]
+    taken = [judge.judge(0.04 * k, picture(k, q)) is not None for k, q in enumerate(qualities)]
+    assert taken == [True, True, False, True, True, False, True, True]
+
+
+def test_a_comment_that_changes_with_every_picture_is_no_new_header():
+    judge = gate()
+    for k in range(4):
+        content = picture(k)
+        comment = b"\xff\xfe\x00\x06" + b"%04d" % k
+        assert judge.judge(0.04 * k, content[:2] + comment + content[2:]) is not None

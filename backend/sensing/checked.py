@@ -49,6 +49,7 @@ STEADY_FRAMES = 3
 EDGE_PX = 20.0
 """Nearer to the border it may: its dot is cut there."""
 _FAR_PX = np.array([WIDTH_PX, HEIGHT_PX])
+_OTHERS = range(0, MARKERS, 4)
 _PATCH, _WINDOW, _BLOCKS = (25, 25), (5, 5), (WIDTH_PX // 8, HEIGHT_PX // 8)
 
 
@@ -121,9 +122,9 @@ class CheckedTracker:
         doubtful = (apart_px > APART_PX) & (share > LOOKS_SHARE)
         if not doubtful.any():
             return False
-        levels = np.array([unexplained_levels(last, new, k) for k in range(MARKERS)])
-        limit = max(LOCAL_LEVELS, LOCAL_RATIO * float(np.median(levels)))
-        found = float(levels[doubtful].max())
+        usual = np.median([unexplained_levels(last, new, k) for k in _OTHERS])
+        limit = max(LOCAL_LEVELS, LOCAL_RATIO * float(usual))
+        found = max(unexplained_levels(last, new, k) for k in np.flatnonzero(doubtful).tolist())
         return line_levels > LINE_LEVELS or found > min(CHANGED_LEVELS, limit)
 
 
@@ -158,7 +159,7 @@ def tint_levels(last: NDArray[np.float32], new: NDArray[np.float32]) -> float:
 def unexplained_levels(last: _Seen, new: _Seen, marker: int) -> float:
     """Return how far the picture round ``marker`` is from the one before, moved with it."""
     change = _patch(new, marker) - _patch(last, marker)
-    change -= np.median(change, axis=(0, 1))  # lamps may flicker
+    change -= np.median(change[::3, ::3], axis=(0, 1))  # lamps may flicker
     square = np.einsum("ijk,ijk->ij", change, change) / change.shape[2]
     return float(np.sqrt(cv2.blur(square, _WINDOW).max()))
 

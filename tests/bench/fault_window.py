@@ -41,12 +41,18 @@ WAYS = {
 }
 """What makes a process fail so; the first, the second and the last by ``HOOKS`` within it."""
 HOOKS = """
-import os, signal, threading
+import os, signal, threading, time
+
+def note():
+    with open(os.path.join(os.path.dirname(__file__), str(os.getpid())), "w") as file:
+        file.write(str(time.monotonic()))
 
 def raises(number, frame):
+    note()
     raise RuntimeError("as was wanted")
 
 def deadlock(number, frame):
+    note()
     lock = threading.Lock()
     lock.acquire()
     lock.acquire()
@@ -55,7 +61,10 @@ signal.signal(signal.SIGUSR1, raises)
 signal.signal(signal.SIGUSR2, lambda number, frame: os._exit(3))
 signal.signal(signal.SIGRTMIN, deadlock)
 """
-"""Imported by every interpreter that is started with its folder on the path: sitecustomize.py."""
+"""Imported by every interpreter that is started with its folder on the path: sitecustomize.py.
+
+When it failed is noted beside it: a busy process takes a signal only when it has a processor.
+"""
 THREADS = ("connect", "bench", "training", "saving", "another")
 """Those of a window that may ask for its end: building the bench, moving it, and so on."""
 
@@ -124,15 +133,28 @@ class Watched:
         return session
 
 
+def failed_s(number: int, asked_s: float) -> float:
+    """Return when the process ``number`` failed that was asked to at ``asked_s``."""
+    for folder in os.environ.get("PYTHONPATH", "").split(os.pathsep):
+        noted = Path(folder) / str(number)
+        if noted.is_file() and noted.stat().st_size:
+            return float(noted.read_text())
+    return asked_s
+
+
 def fail(window: Watched, kind: str, way: str) -> dict[str, object]:
     """Let a worker fail; return what the window made of it."""
     before = set(psutil.Process().children(recursive=True))
     codes = window.main.cards.codes
-    if kind == "training":
-        os.kill(window.training(), WAYS[way])
+    number = window.training() if kind == "training" else os.getpid()
+    session = window.bench() if kind == "bench" else None
+    asked_s = time.monotonic()
+    if session is None:
+        os.kill(number, WAYS[way])
     else:
-        _break_bench(window.bench(), way)
-    told_s = window.pump(lambda: set(window.main.cards.codes) != set(codes))
+        _break_bench(session, way)
+    window.pump(lambda: set(window.main.cards.codes) != set(codes))
+    told_s = time.monotonic() - failed_s(number, asked_s)
     (named,) = set(window.main.cards.codes) - set(codes)
     closed_s = window.close()
     left = set(psutil.Process().children(recursive=True)) - before

@@ -19,7 +19,7 @@ import psutil
 from backend.core.locks import lock_file
 from tests.backend.devices.waiting import until
 from tests.backend.rig.served import Backend, Served
-from tests.bench.fault_window import HOOKS, THREADS, WAYS
+from tests.bench.fault_window import HOOKS, THREADS, WAYS, failed_s
 from tests.bench.registry import Figure, figure
 
 ASKED, KILLS = 100, 20
@@ -93,7 +93,7 @@ def rig(number: signal.Signals) -> dict[str, float | str]:
         begun_s = time.monotonic()
         os.kill(process.pid, number)
         until(lambda: backend.interlock.latched)
-        told_s = time.monotonic() - begun_s
+        told_s = time.monotonic() - failed_s(process.pid, begun_s)
         named = backend.interlock.faults[0].code
         begun_s = time.monotonic()
         backend.close()

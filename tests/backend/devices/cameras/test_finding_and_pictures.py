@@ -1,10 +1,14 @@
 """Which camera is which, what is cut, scaled and mirrored, and what a UVC camera is told."""
 
+import random
+
 import cv2
 import numpy as np
 import pytest
 
 from backend.config.hardware import GelsightSettings
+from backend.core.faults import FaultError
+from backend.devices.cameras.driver import TactileCamera
 from backend.devices.cameras.finding import FoundCamera, find_cameras
 from backend.devices.cameras.picture import decode, fit
 from backend.devices.cameras.sources import UvcSource
@@ -40,6 +44,20 @@ def test_cameras_are_found_by_their_number_and_the_picture_node(system):
         FoundCamera("2D8Y-69GR", nodes / "video8"),
         FoundCamera("AAAA-1111", nodes / "video12"),
     ]
+
+
+def test_another_number_in_the_place_of_the_own_is_refused_100_times_of_100(system):
+    places = {name: str(system / name.replace("_", "-")) for name in ("by_id", "names", "nodes")}
+    content = {**places, "left": {"serial": "2D8Y-69GR"}, "right": {"serial": "AAAA-1111"}}
+    driver = TactileCamera("left", GelsightSettings.model_validate(content), lambda: 0.0)
+    assert driver.find() == system / "nodes" / "video8"
+    draw = random.Random(1)
+    for _ in range(100):
+        other = "".join(draw.choices("ABCDEFGHJKLMNPQRSTUVWXYZ0123456789", k=8))
+        card = f"GelSight Mini R0B {other[:4]}-{other[4:]}: Ge"
+        (system / "names" / "video8" / "name").write_text(card + "\n")
+        with pytest.raises(FaultError, match=f"'2D8Y-69GR'.*{other[:4]}-{other[4:]}"):
+            driver.find()
 
 
 def test_a_stable_link_goes_first_and_a_dangling_one_is_left_out(system):

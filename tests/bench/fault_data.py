@@ -173,10 +173,13 @@ def lost(seed: int) -> Ended:
             kept = dataset.episodes(EpisodeFilter(deleted=None))
         finally:
             losing.session.close()
+    phases = [f for f in losing.facts if isinstance(f, PhaseEntered)]
+    # What is lost after the probe has ended was held while it lasted: that label is right.
+    lifted_s = next((f.t_s for f in phases if f.phase == "lift"), float("inf"))
     told = [f for f in losing.facts if isinstance(f, FaultRaised) and f.fault.code == "PIECE-LOST"]
     rows = {
         "never lost": losing.lost_s < float("inf"),
-        "a label": not any(entry.quality.accepted for entry in kept),
+        "a label": losing.lost_s >= lifted_s or not any(e.quality.accepted for e in kept),
         "not told": len(told) == 1,
         "told late": bool(told) and told[0].t_s - losing.lost_s <= SEEN_S,
     }

@@ -15,10 +15,20 @@ from pathlib import Path
 
 from backend.assembly import SimulatedBenchChoice
 from backend.catalogue.dataset import Dataset
-from backend.core.facts import Fact, ProbeCollected, RunFinished, TrialFinished
+from backend.config.method import SAMPLES_PER_PROBE
+from backend.core.facts import (
+    Fact,
+    FaultRaised,
+    Paused,
+    ProbeCollected,
+    RunFinished,
+    TrialFinished,
+)
 from backend.core.faults import FaultError, RefusedError, StaleSampleError
+from backend.core.flow import CHANNELS
 from backend.devices.jog import JogOrder
 from backend.emulated import EmulatedBench
+from backend.emulators.faults import FaultPlan
 from backend.learning.training_runs import training_runs
 from backend.runs.campaign import newest_campaign
 from backend.runs.journal import read_journal
@@ -32,6 +42,14 @@ SETTLE_S = 1.5
 JOG_MM_S, JOG_S, LEAST_MM = 10.0, 1.0, 1.0
 """Asked; near the surface, where the day begins, a jog goes at the speed of contact."""
 PERSON = "bench"
+PULLED = {
+    "fault": [
+        {"at_s": 32.0, "for_s": 3.0, "device": "force_torque", "kind": "unplug"},
+        {"at_s": 60.0, "for_s": 3.0, "device": "tactile_left", "kind": "unplug"},
+        {"at_s": 88.0, "for_s": 3.0, "device": "arm", "kind": "unplug"},
+    ]
+}
+"""Since a scene was set, which takes about 10 s: each plug is out for a moment amid the probes."""
 TINY = ("--labels", "submitted", "--divide-series", "--epochs", "1")
 
 
@@ -163,3 +181,26 @@ def operators_day_over_wires() -> list[Figure]:
     note += f"{day.again} times a link fault ended something, which was begun again"
     told = "operator's day over the wires: parts that did not hold"
     return [Figure(told, len(missed), "of 8", "0", not missed, note)]
+
+
+@figure("wired")
+def plugs_pulled_while_collecting() -> list[Figure]:
+    """Plugs are pulled and put back amid a campaign, which goes on after Reset: what is missing."""
+    plan = FaultPlan.model_validate(PULLED)
+    with (
+        tempfile.TemporaryDirectory() as name,
+        Dataset.open(Path(name) / "ds", person=PERSON) as dataset,
+        EmulatedBench(SimulatedBenchChoice(), keep=Keep(Path(name) / "runs"), plan=plan) as bench,
+    ):
+        day = Day(Path(name), bench, dataset)
+        held = day.collect()
+        told = {fact.uuid for fact in day.facts if isinstance(fact, ProbeCollected)}
+        kept = {entry.uuid for entry in dataset.episodes()}
+        whole = sum(
+            dataset.read(uuid).observation.shape == (SAMPLES_PER_PROBE, CHANNELS) for uuid in kept
+        )
+    struck = sorted({f.fault.code for f in day.facts if isinstance(f, FaultRaised | Paused)})
+    lost = len(told - kept) + len(kept) - whole + max(0, PROBES - len(kept))
+    note = f"{len(kept)} probes kept; {day.again} times gone on after {', '.join(struck) or 'none'}"
+    ok = held and lost == 0 and bool(struck)
+    return [Figure("collecting while plugs are pulled: probes lost", lost, "", "0", ok, note)]

@@ -37,6 +37,14 @@ class Witnessed:
     barred: int
     force_n: float
 
+    def __str__(self) -> str:
+        return (
+            f"largest step {100 * self.step_share:.1f} % of a joint's top speed; last command "
+            f"{1e3 * self.late_command_s:.0f} ms after an error; jaws opened on a piece "
+            f"{self.openings} times, {self.barred} motions asked of a gripper in a fault; "
+            f"strongest force {self.force_n:.1f} N"
+        )
+
 
 class WatchedGripper(Protocol):
     """What is asked of the emulated gripper."""

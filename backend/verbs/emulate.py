@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from rich.table import Table
@@ -122,6 +122,9 @@ def _serve(
             world.close()
         emulation.close()
     front = emulation.fronts[0]
+    seen = None if world is None else world.witnessed()
+    if seen is not None:
+        screen.say(f"What the devices saw of their driver: {seen}.")
     screen.result(
         {
             "version": 1,
@@ -132,6 +135,7 @@ def _serve(
             "clients": front.clients,
             "received_bytes": front.received,
             "sent_bytes": front.sent,
+            "seen": None if seen is None else asdict(seen),
         }
     )
     return 0

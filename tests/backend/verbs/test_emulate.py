@@ -97,7 +97,9 @@ def test_what_the_emulated_bench_lacks_is_said_before_it_starts(words, capsys):
 
 def test_a_bench_leaves_its_file_in_the_folder(tmp_path, capsys):
     assert main(["emulate", "bench", "--folder", str(tmp_path), "--for", "0.02", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["bench"]
+    result = json.loads(capsys.readouterr().out)
+    assert result["seen"]["step_share"] == 0.0
+    told = result["bench"]
     hardware = load(HardwareSettings, tmp_path / "bench.toml")
     assert hardware.ft.address == told["ft"]["address"]
     assert hardware.wsg.port == told["wsg"]["port"]

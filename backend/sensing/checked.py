@@ -118,7 +118,10 @@ class CheckedTracker:
         )
         if line_levels > SURE_LINE_LEVELS:
             return True
-        share = np.abs(new.looks / last.looks - 1.0).max(axis=1)
+        # In the dark a marker looks like nothing; any look after that is another one.
+        dark = np.full_like(new.looks, np.inf)
+        ratio = np.divide(new.looks, last.looks, out=dark, where=last.looks > 0.0)
+        share = np.abs(ratio - 1.0).max(axis=1)
         doubtful = (apart_px > APART_PX) & (share > LOOKS_SHARE)
         if not doubtful.any():
             return False

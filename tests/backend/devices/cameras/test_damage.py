@@ -51,6 +51,18 @@ def test_what_two_pictures_in_a_row_show_is_believed():
     assert tracker.refused == 1
 
 
+def test_lamps_that_fail_and_return_leave_no_finger_blind():
+    image, _ = rest_dots()
+    black = np.full_like(image, 3)
+    tracker = CheckedTracker("left")
+    fields = [
+        tracker.track(TactileFrame("left", k, 0.04 * k, picture, from_jpeg=True))
+        for k, picture in enumerate([black] * 3 + [image] * 4 + [black] * 3 + [image] * 4)
+    ]
+    assert not any(a is None and b is None for a, b in pairwise(fields))
+    assert (fields[-1].state == MarkerState.SEEN).all()
+
+
 def test_after_a_refused_picture_it_goes_on_as_if_that_had_never_come():
     clip, at = SCENES[0]
     frames = list(islice(read_pictures(GELSIGHT / clip), at, at + 6))

@@ -11,6 +11,7 @@ import random
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
@@ -28,7 +29,7 @@ from backend.core.facts import (
     RunFinished,
     TrialFinished,
 )
-from backend.core.faults import FaultError
+from backend.core.faults import FaultError, RefusedError
 from backend.dataset.episode_reading import read_episode
 from backend.emulated import EmulatedBench
 from backend.emulators.faults import FaultPlan
@@ -182,6 +183,8 @@ class Campaign:
             session.run(StackRequest("pot", ("short",), seed))
         except FaultError as error:
             code = error.fault.code
+        except RefusedError as error:
+            code = error.reason
         lasted_s = time.monotonic() - begun_s
         codes = self._heard.codes() | ({code} - {""})
         met = begun_s + at_s > self._heard.moved_s
@@ -258,7 +261,11 @@ def campaign(trials: int = len(KINDS), first: int = FIRST) -> list[Struck]:
 @figure("wired-faults")
 def faults_over_the_wires() -> list[Figure]:
     """How many trials did not end as documented when a device failed in them."""
-    ended = campaign()
+    return [of(campaign())]
+
+
+def of(ended: Sequence[Struck]) -> Figure:
+    """Return the figure of so many trials."""
     broken = [one for one in ended if one.broken]
     endings = Counter(one.ended.split()[0] for one in ended)
     kinds = len({(one.kind.device, one.kind.kind) for one in ended})
@@ -267,4 +274,4 @@ def faults_over_the_wires() -> list[Figure]:
     note += f"; {sum(one.loaded for one in ended)} by a busy computer"
     note += "".join(f"; {one}" for one in broken[:3])
     name = "faults over the wires, in real time: not ended as documented, or an unsafe command"
-    return [Figure(name, len(broken), f"of {len(ended)}", "0", not broken, note)]
+    return Figure(name, len(broken), f"of {len(ended)}", "0", not broken, note)

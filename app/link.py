@@ -74,6 +74,10 @@ class Link(Protocol):
         """Bench seconds per wall second."""
 
     @property
+    def still_s(self) -> float:
+        """For how long the bench has made no step."""
+
+    @property
     def engine(self) -> EngineLink:
         """The run in progress."""
 

@@ -22,8 +22,9 @@ _WORDS: dict[RunState, tuple[str, Shape, Colour]] = {
     RunState.CANCELLING: ("CANCELLING", "diamond", "yellow"),
     RunState.FINISHING: ("FINISHING", "diamond", "yellow"),
 }
-
-
+STILL_S = 1.0
+"""A bench that has made no step for so long stands still, whatever else is known of it; setting a
+scene takes longer."""
 SHOWS_DEGRADED = (RunState.IDLE, RunState.PREPARING, RunState.RUNNING)
 """A run that pauses or ends says so; by then its card names the sensor."""
 
@@ -33,6 +34,8 @@ def pill_of(link: Link) -> PillState:
     note = words_of(link).note
     if not link.devices:
         return PillState("NO DEVICES", "ring", "grey", note)
+    if link.still_s >= STILL_S and link.status().state is not RunState.PREPARING:
+        return PillState("STILL", "bang", "yellow", f"no step for {link.still_s:.0f} s")
     if link.interlock.latched:
         if link.interlock.faults:
             return PillState("FAULT", "square", "red", "press Reset")

@@ -51,13 +51,7 @@ from backend.runs.plans import plan_of
 from backend.runs.recording import Keep, Recorder
 from backend.runs.requests import Request, RunStatus, SceneChoice, SetRequest
 from backend.runs.stage import Check, MakeStage, Stage
-from backend.runs.standing import (
-    FaultTeller,
-    latch_lost,
-    refuse_contact,
-    refuse_on_devices,
-    stop_with,
-)
+from backend.runs.standing import FaultTeller, latch, refuse_contact, refuse_on_devices, stop_with
 from backend.sensing.drift import Drift
 from backend.sensing.live import LiveSensing, RawStreams
 
@@ -143,6 +137,11 @@ class Session:
     def pace(self) -> float:
         """Bench seconds per wall second, measured while live."""
         return self._live.pace
+
+    @property
+    def still_s(self) -> float:
+        """For how long the live bench has made no step."""
+        return self._live.still_s
 
     @property
     def run_folder(self) -> Path | None:
@@ -255,7 +254,7 @@ class Session:
 
     def advance(self) -> None:
         """Move the bench by one step and process what the sensors delivered."""
-        latch_lost(self.devices.values(), self.interlock)
+        latch(self.devices.values(), self.interlock)
         if (scene := self._scene) is not None:
             scene.hand.tick()
             scene.stage.advance(STEP_US)

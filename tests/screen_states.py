@@ -49,6 +49,10 @@ def of_the_pill(stage: Stage) -> Iterator[str]:
     stage.live(0.8)
     yield "state-recovery"
     bench.interlock.recovering, bench.hand = False, None
+    bench.still_s = 4.0
+    stage.live(0.0)
+    yield "state-still"
+    bench.still_s = 0.0
     stage.live(0.0)
     yield from _of_the_wrist(stage)
 

@@ -31,6 +31,11 @@ class LiveThread:
         """Whether it was started and not closed."""
         return self._thread is not None
 
+    @property
+    def still_s(self) -> float:
+        """For how long no step has ended; 0 while none are made."""
+        return time.monotonic() - self._stepped_s if self._thread is not None else 0.0
+
     def open(self, speed: float) -> None:
         """Start; ``speed`` bench seconds per wall second. A second time changes nothing."""
         if self._thread is None:
@@ -41,11 +46,11 @@ class LiveThread:
 
     def close(self, settle: Callable[[], object]) -> None:
         """End; ``settle`` is called first, while time still passes."""
+        hung = self.still_s > HUNG_S
         thread, self._thread = self._thread, None
         if thread is not None:
             settle()
             self._closing.set()
-            hung = time.monotonic() - self._stepped_s > HUNG_S
             thread.join(HUNG_JOIN_S if hung else JOIN_S)
 
     def _live(self) -> None:

@@ -47,7 +47,7 @@ def stop_with(connection: Connection, interlock: Interlock) -> None:
             interlock.on_stop(stop)
 
 
-def latch_lost(devices: Iterable[Device], interlock: Interlock) -> None:
+def latch(devices: Iterable[Device], interlock: Interlock) -> None:
     """Latch the fault of each device that was lost, or that has a fault of its own."""
     for device in devices:
         fault = fault_of(device)

@@ -124,7 +124,7 @@ class StandInBench:
         self.fields = {f: Stream(f"markers_{f}", 8) for f in FINGERS}
         self.wrench = SampleStream("wrench", 6, 20_000)
         self.engine = StandInEngine(self)
-        self.pace = 1.0
+        self.pace, self.still_s = 1.0, 0.0
         rates = {"arm": 100.0, "gripper": 20.0, "force_torque": 1000.0,
                  "tactile_left": 25.0, "tactile_right": 25.0}  # fmt: skip
         self.devices = {name: StandInDevice(name, rate) for name, rate in rates.items()}

@@ -1,6 +1,7 @@
 """A sensor that is late or slow: the pill names it, and nothing new begins on it."""
 
 import re
+import threading
 from dataclasses import replace
 
 import pytest
@@ -11,6 +12,7 @@ from app.pill import pill_of
 from backend.assembly import simulated_session
 from backend.core.faults import RefusedError
 from backend.devices.degraded import Degraded
+from backend.runs.live_thread import LiveThread
 from backend.runs.requests import ProbeRequest, RunState, SceneChoice
 from tests.app.conftest import settle
 from tests.backend.brisk import brisk_bench, brisk_method
@@ -45,6 +47,29 @@ def test_a_run_shows_it_while_it_stands_and_its_pause_afterwards(bench):
     assert pill_of(bench).word == "YOUR TURN"
     bench.interlock.stop()
     assert pill_of(bench).word == "STOPPED"
+
+
+def test_a_bench_that_makes_no_step_stands_still_and_one_that_prepares_does_not(bench):
+    hangs, made = threading.Event(), threading.Event()
+
+    def step():
+        made.set()
+        hangs.wait(30.0)
+
+    thread = LiveThread(step, 0.02, pytest.fail)
+    assert thread.still_s == 0.0
+    thread.open(1.0)
+    made.wait(30.0)
+    thread._stepped_s -= 4.2
+    bench.still_s = thread.still_s
+    bench.interlock.stop()
+    pill = pill_of(bench)
+    assert (pill.word, pill.note) == ("STILL", "no step for 4 s")
+    bench.set_state(RunState.PREPARING)
+    assert pill_of(bench).word == "STOPPED"
+    hangs.set()
+    thread.close(lambda: None)
+    assert thread.still_s == 0.0
 
 
 def test_what_lasts_keeps_the_start_disabled_and_says_why(live, bench):

@@ -5,7 +5,7 @@ import pytest
 from backend.core.faults import InputError, RefusedError
 from backend.devices.interlock import Interlock
 from backend.rig.connection import Connection
-from backend.runs.standing import latch_lost
+from backend.runs.standing import latch
 from tests.backend.devices.waiting import until
 from tests.backend.rig.scripted import LINES, held, scripted
 
@@ -114,10 +114,10 @@ def test_a_lost_device_is_told_and_its_line_says_what_to_do():
     connection.begin()
     connection.wait(60.0)
     interlock = Interlock()
-    latch_lost(devices.values(), interlock)
+    latch(devices.values(), interlock)
     assert not interlock.latched
     devices["force_torque"].lose()
-    latch_lost(devices.values(), interlock)
+    latch(devices.values(), interlock)
     assert [fault.code for fault in interlock.faults] == ["LINK"]
     assert line(connection, "force_torque").fault.next_step == "Plug it in."
     connection.begin()

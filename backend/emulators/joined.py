@@ -251,6 +251,8 @@ class JoinedWsg(EmulatedWsg):
     def due(self, now_s: float) -> bytes:
         """Return what the gripper sends, and let the world know of its jaws."""
         hand = self._world.jaws
+        if hand.piece_present and self._faults.active("part_lost", now_s):
+            hand.lose()
         self.jaws.part_mm = self._piece_mm if hand.piece_present else None
         out = super().due(now_s)
         motion = self.jaws.motion

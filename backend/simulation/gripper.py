@@ -32,6 +32,7 @@ class Jaws:
         self.asked_n = 0.0
         self._target_mm: float | None = None
         self._speed_mm_s = 0.0
+        self._slips_out = False
         self._lock = threading.Lock()
 
     @property
@@ -55,6 +56,11 @@ class Jaws:
             self._speed_mm_s = math.copysign(speed_mm_s, self._target_mm - self.width_mm)
             self.asked_n = 0.0
 
+    def lose(self) -> None:
+        """Let the piece slip out, for good; with the next step nothing is held."""
+        with self._lock:
+            self.piece_present, self._slips_out = False, self.holding
+
     def halt(self) -> None:
         """Stop where they are; the grip is kept."""
         with self._lock:
@@ -63,6 +69,10 @@ class Jaws:
     def step(self, dt_s: float) -> Change:
         """Move for ``dt_s``."""
         with self._lock:
+            if self._slips_out:
+                self._slips_out = self.holding = False
+                self._target_mm, self.force_n = None, 0.0
+                return Change(let_go=True)
             target = self._target_mm
             if target is None:
                 return Change()

@@ -100,7 +100,7 @@ KINDS = (
     *(Kind("force_torque", "saturate", 0.6, True), Kind("force_torque", "slow", 3.0)),
     *of_wire("gripper", 0.1, 1.0, "duplicate", "garbage"),
     *(Kind("gripper", "silent", 0.2), Kind("gripper", "silent", 2.0), Kind("gripper", "unplug", 1)),
-    *(Kind("gripper", kind, 1.0) for kind in ("part_lost", "fast_stop", "power")),
+    *(Kind("gripper", kind, 1.0, True) for kind in ("part_lost", "fast_stop", "power")),
     *(
         Kind(camera, kind, for_s, ends, more)
         for camera in ("tactile_left", "tactile_right")

@@ -19,6 +19,7 @@ from backend.objects.catalogue import load_catalogue
 from backend.runs.requests import SceneChoice
 from backend.wire import dynpick, wsg_binary
 from backend.wire.dynpick import Command
+from backend.wire.wsg_words import GraspState
 
 MELFA = HardwareSettings().melfa
 
@@ -84,6 +85,19 @@ def test_the_piece_is_taken_with_its_weight_and_let_go(bench):
     bench.order(wsg_binary.release(60.0, 50.0))
     bench.pass_time(0.5)
     assert bench.joined.world.holding is None
+    assert bench.gripper.jaws.part_mm is None
+
+
+def test_a_piece_that_is_lost_is_gone_from_jaws_and_world(bench):
+    bench.held()
+    assert bench.joined.world.holding is not None
+    bench.gripper._faults.begin(0.0)
+    bench.gripper._faults.inject(1e-6 * bench.joined.world.now_us, "part_lost", 0.1)
+    bench.pass_time(0.2)
+    assert bench.gripper.jaws.state is GraspState.PART_LOST
+    assert bench.joined.world.holding is None
+    assert not bench.joined.truth().stands
+    bench.pass_time(0.5)
     assert bench.gripper.jaws.part_mm is None
 
 

@@ -209,6 +209,8 @@ class PtyFront(StreamFront):
     ) -> None:
         super().__init__(device, clock, faults)
         self._link = link
+        self.plugs = 0
+        """How often it was plugged in."""
         self._plug()
 
     @property
@@ -229,10 +231,19 @@ class PtyFront(StreamFront):
         tty.setraw(slave)
         self._path = os.ttyname(slave)
         if self._link is not None:
-            fresh = self._link.with_name(f"{self._link.name}.new")
+            self._name(self._link)
+        self.plugs += 1
+
+    def _name(self, link: Path) -> None:
+        """Lead ``link`` to the terminal, at once; only when it begins must its folder be there."""
+        fresh = link.with_name(f"{link.name}.new")
+        try:
             fresh.unlink(missing_ok=True)
             fresh.symlink_to(self._path)
-            fresh.replace(self._link)
+            fresh.replace(link)
+        except FileNotFoundError:
+            if not self._thread.is_alive():
+                raise
 
     def _unplug(self) -> None:
         if self._link is not None:

@@ -46,6 +46,8 @@ LATENCY_S = 0.020
 KEPT = 500
 """Wrist samples that are kept for the sensor."""
 CONTACT_MM = 0.02
+HAND_MM = 5.0
+"""On a bench with a jig a piece let go so high is in the hand of the operator, to be given back."""
 STILL_PX = 0.01
 """A third of what the tracker errs by: a gel at rest is drawn anew once it has crept so far."""
 
@@ -244,7 +246,7 @@ class JoinedWsg(EmulatedWsg):
     def __init__(self, joined: JoinedScene, faults: Faults | None = None) -> None:
         super().__init__(part_mm=joined.scene.piece.width_mm, faults=faults)
         self._world, self._piece_mm = joined.world, joined.scene.piece.width_mm
-        self._held = False
+        self._held = self._in_hand = False
         self.openings = 0
         joined.watch_gripper(self)
 
@@ -263,8 +265,15 @@ class JoinedWsg(EmulatedWsg):
         elif self._held and motion is not None and motion.velocity_mm_s > 0.0:
             self._held = False
             self.openings += 1
+            self._in_hand = self._is_taken()
             hand.open_to(motion.target_mm, motion.velocity_mm_s)
+        elif self._in_hand and not hand.piece_present:
+            self._in_hand, hand.piece_present = False, True
         return out
+
+    def _is_taken(self) -> bool:
+        world = self._world
+        return world.scene.jig and world.clear_mm(world.drive.command_mm) > HAND_MM
 
 
 def _about_z(angle_rad: float) -> FloatArray:

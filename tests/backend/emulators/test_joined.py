@@ -112,6 +112,22 @@ def test_a_piece_let_go_in_its_jig_can_be_taken_again():
         assert world.holding is None
 
 
+@pytest.mark.parametrize(("jig", "again"), [(True, True), (False, False)])
+def test_a_piece_let_go_high_over_a_bench_with_a_jig_is_in_the_operators_hand(jig, again):
+    bench = Bench(jig=jig)
+    world = bench.joined.world
+    bench.held()
+    place = world.drive.command_mm + np.array([0.0, 0.0, 40.0])
+    bench.joined.melfa.controller.joints.true_rad = bench.joined.frame.joints(place)
+    bench.pass_time(0.1)
+    bench.order(wsg_binary.release(60.0, 50.0))
+    bench.pass_time(1.2)
+    assert world.holding is None
+    bench.order(wsg_binary.grasp(0.0, 100.0))
+    bench.pass_time(1.0)
+    assert (world.holding is not None) is again
+
+
 def test_the_world_goes_where_the_joints_are_and_a_descent_is_a_probe(bench):
     bench.held()
     world, touch_mm = bench.joined.world, bench.joined.world.holding.touch_height_mm

@@ -12,7 +12,7 @@ from backend.core.faults import Fault, FaultError, RefusedError
 from backend.core.flow import FloatArray, Pose
 from backend.devices.protocols import PressCommand
 from backend.runs import words
-from backend.runs.again import again_if_void
+from backend.runs.again import TOUCH_TRIES, again_if_void
 from backend.runs.bench import Bench
 from backend.runs.jig import approach
 from backend.runs.motions import MOVE_S, go, rest
@@ -89,7 +89,7 @@ def touched_mm(
         yield from rise_to(bench, start_mm)
 
     touch = partial(_touched_mm, bench, place, start_mm, below_mm)
-    return (yield from again_if_void(bench, touch, after_void))
+    return (yield from again_if_void(bench, touch, after_void, TOUCH_TRIES))
 
 
 def rise_to(bench: Bench, start_mm: float) -> Plan[None]:

@@ -178,13 +178,13 @@ def fuzz(key: Key, seed: int, enough: Callable[[Count], bool]) -> Count:
 def main() -> int:
     """Fuzz every decoder (or those named) for some minutes each; exit code 1 with findings."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("devices", nargs="*", help="such as wsg-binary; none: all")
+    parser.add_argument("devices", nargs="*", help="wsg-binary or wsg-binary/pc-to-device; none: all")
     told = "of processor time per decoder (10)"
     parser.add_argument("--minutes", type=float, default=10.0, help=told)
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
-    screen, bad = Screen(), 0
-    for key in [key for key in ALL if not given.devices or key[0] in given.devices]:
+    screen, bad, names = Screen(), 0, tuple(given.devices)
+    for key in [key for key in ALL if not given.devices or "/".join(key).startswith(names)]:
         until = time.process_time() + 60 * given.minutes
         count = fuzz(key, given.seed, lambda _, until=until: time.process_time() >= until)
         bad += len(count.findings)

@@ -178,7 +178,9 @@ def fuzz(key: Key, seed: int, enough: Callable[[Count], bool]) -> Count:
 def main() -> int:
     """Fuzz every decoder (or those named) for some minutes each; exit code 1 with findings."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("devices", nargs="*", help="wsg-binary or wsg-binary/pc-to-device; none: all")
+    parser.add_argument(
+        "devices", nargs="*", help="wsg-binary or wsg-binary/pc-to-device; none: all"
+    )
     told = "of processor time per decoder (10)"
     parser.add_argument("--minutes", type=float, default=10.0, help=told)
     parser.add_argument("--seed", type=int, default=1)

@@ -24,11 +24,9 @@ from backend.emulators.wsg import EmulatedWsg
 from backend.rig.link import RigLink
 from backend.rig.remote import RigArm, RigForceTorque, RigGripper
 from tests.backend.devices.emulated_arm import settings as melfa_settings
+from tests.busy_computer import STARVED
 
 TOP = Pose(0.0, 0.0, 160.0)
-STALLED = ("MXT-LOST", "MXT-START", "PRESS-VOID", "BACKEND-SILENT", "CONTROL-LOST", "LEASE-LAPSED",
-           "FT-STALE", "NO-LEASE")  # fmt: skip
-"""What a machine that stands still for a while does to real time: tried again."""
 
 
 class Served:
@@ -95,7 +93,7 @@ class Backend:
                     self._over.wait(0.01)
             except (FaultError, RefusedError) as error:
                 code = error.fault.code if isinstance(error, FaultError) else error.reason
-                if code not in STALLED:
+                if code not in STARVED:
                     raise
                 self.disconnect()
                 self.interlock.reset()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import closing, suppress
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from backend.devices.force_torque.links import Link
 from backend.devices.force_torque.readout import LATE_S, Readout
 from backend.devices.protocols import DeviceState, Health, Identity
 from backend.devices.steps import Steps
+from backend.devices.stranger import who_answers
 from backend.wire.framing import WireError
 
 READ_S = 0.005
@@ -139,9 +141,12 @@ class ForceTorqueReader:
             if not self._first.wait(timeout_s):
                 raise FaultError(link_fault("The sensor sends nothing."))
             self._require_link()
-        except FaultError:
+        except FaultError as error:
             self.close()
-            raise
+            stranger = "" if cancel.is_set() else self._stranger()
+            if not stranger:
+                raise
+            raise FaultError(link_fault(stranger)) from error
         self._settle()
 
     def close(self) -> None:
@@ -159,6 +164,14 @@ class ForceTorqueReader:
     def _require_link(self) -> None:
         if self._stop.is_set() and self.fault is not None:
             raise FaultError(self.fault)
+
+    def _stranger(self) -> str:
+        """Return a sentence if another device answers in the place of the sensor."""
+        with suppress(OSError), closing(self._open_link(self._new_language())) as link:
+            stranger = who_answers(link.write, link.read, self._settings.driver)
+            wanted = f"a force/torque sensor (ft.driver is {self._settings.driver})"
+            return f"This is {stranger}, expected {wanted}." if stranger else ""
+        return ""
 
     def _begin(self, cancel: threading.Event) -> tuple[Link, Language]:
         """Open the link and start the sensor; the link is closed again if that fails."""

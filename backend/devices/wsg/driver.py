@@ -12,6 +12,7 @@ from backend.config.hardware import WsgSettings
 from backend.core.faults import Fault, FaultError
 from backend.devices.protocols import DeviceState, GripStatus, Health, Identity
 from backend.devices.steps import Steps
+from backend.devices.stranger import who_answers
 from backend.devices.wsg.core import Limits, WsgCore
 from backend.devices.wsg.faults import NAME, device_fault, link_fault, not_connected_fault
 from backend.devices.wsg.language import BinaryLanguage, GripperLanguage
@@ -229,7 +230,23 @@ class WsgGripper:
             for reply in self._heard(self._socket):
                 if reply.command == request.command:
                     return reply
-        raise FaultError(link_fault("What answers there is no WSG gripper."))
+        raise FaultError(link_fault(self._who_answers(self._socket)))
+
+    def _who_answers(self, line: socket.socket) -> str:
+        """Return a sentence: who is there instead."""
+
+        def receive(limit_s: float) -> bytes:
+            line.settimeout(limit_s)
+            try:
+                return line.recv(CHUNK)
+            except TimeoutError:
+                return b""
+
+        stranger = who_answers(line.sendall, receive, self._settings.protocol)
+        if not stranger:
+            return "What answers there is no WSG gripper."
+        wanted = f"a WSG gripper (wsg.protocol is {self._settings.protocol})"
+        return f"This is {stranger}, expected {wanted}."
 
     def _begin(self) -> None:
         self._stop.clear()

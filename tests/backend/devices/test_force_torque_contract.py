@@ -213,7 +213,8 @@ def test_a_gripper_in_place_of_a_wrist_sensor_is_refused():
     settings = {"ft": {"driver": "leptrino", "address": front.url}}
     driver = make_force_torque(HardwareSettings.model_validate(settings), time.monotonic)
     front.start()
-    with pytest.raises(FaultError, match="nothing that is an answer"):
+    words = "This is a WSG gripper that speaks its binary protocol, expected a force/torque sensor"
+    with pytest.raises(FaultError, match=words):
         driver.connect(2.0, threading.Event())
     assert driver.state is DeviceState.CLOSED
     front.close()

@@ -277,7 +277,8 @@ def test_another_device_is_refused_by_name():
     front = TcpFront(EmulatedLeptrino(lambda now_s: (0.0,) * 6))
     front.start()
     gripper = WsgGripper(*front.address, WsgSettings(), time.monotonic)
-    with pytest.raises(FaultError, match="no WSG gripper"):
+    words = "This is a Leptrino force/torque sensor, expected a WSG gripper"
+    with pytest.raises(FaultError, match=words):
         gripper.connect(1.0, threading.Event())
     assert gripper.state is DeviceState.CLOSED
     front.close()

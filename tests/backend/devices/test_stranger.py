@@ -1,0 +1,67 @@
+"""Who answers where another device was expected, by the bytes of each emulated device."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from backend.devices import stranger
+from backend.devices.stranger import KINDS, who_answers
+from backend.emulators.dynpick import EmulatedDynpick
+from backend.emulators.ft300 import EmulatedFt300
+from backend.emulators.leptrino import EmulatedLeptrino
+from backend.emulators.wsg import EmulatedWsg
+from backend.emulators.wsg_gcl import EmulatedGcl
+from backend.wire import bota, dynpick
+
+LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
+DEVICES = {
+    "binary": EmulatedWsg,
+    "gcl": lambda: EmulatedGcl(EmulatedWsg()),
+    "leptrino": lambda: EmulatedLeptrino(lambda now_s: LOAD),
+    "ft300": lambda: EmulatedFt300(lambda now_s: LOAD),
+    "dynpick": lambda: EmulatedDynpick(lambda now_s: LOAD),
+}
+
+
+class Wire:
+    """A device at the other end; its time passes by reading, and so does that of the listener."""
+
+    def __init__(self, device, monkeypatch):
+        self.device, self.now_s, self.out = device, 0.0, b""
+        monkeypatch.setattr(stranger, "time", SimpleNamespace(monotonic=lambda: self.now_s))
+
+    def send(self, data):
+        self.out += self.device.receive(self.now_s, data)
+
+    def receive(self, limit_s):
+        self.now_s += limit_s
+        out, self.out = self.out + self.device.due(self.now_s), b""
+        return out
+
+
+@pytest.mark.parametrize("name", DEVICES)
+def test_each_device_is_known_unless_it_is_the_expected_one(name, monkeypatch):
+    (kind,) = [one for one in KINDS if one.name == name]
+    for expected, words in (("another", kind.words), (name, "")):
+        wire = Wire(DEVICES[name](), monkeypatch)
+        assert who_answers(wire.send, wire.receive, expected) == words
+
+
+def test_noise_silence_and_a_lost_wire_are_nobody(monkeypatch):
+    class Noise:
+        receive = staticmethod(lambda now_s, data: data)
+        due = staticmethod(lambda now_s: bytes(range(256)))
+
+    wire = Wire(Noise(), monkeypatch)
+    assert who_answers(wire.send, wire.receive, "leptrino") == ""
+
+    def lost(_):
+        raise ConnectionResetError
+
+    assert who_answers(lost, lost, "leptrino") == ""
+
+
+def test_asking_zeroes_no_sensor_and_configures_none():
+    asked = b"".join(kind.request for kind in KINDS)
+    assert dynpick.Command.OFFSET_RESET.value not in asked
+    assert bota.encode(bota.Request("C")) not in asked

@@ -76,6 +76,11 @@ class RigCore:
         return self._stops > self._stops_reset or len(self._faults) > self._faults_reset
 
     @property
+    def stops(self) -> int:
+        """How many STOPs this rig has taken."""
+        return self._stops
+
+    @property
     def faults(self) -> int:
         """How many faults this rig has raised; the newest carries this number."""
         return len(self._faults)

@@ -309,12 +309,20 @@ class RigHost:
         if verb == "close":
             self.devices.named()[device].close()
             return None
-        if name in MOVES | JAWS:
+        if name not in MOVES | JAWS:
+            return self._orders.give(name, given, self._core.limits)
+        with self._lock:
+            self._core.refuse(self._now_s(), message["lease_until_s"])
+            if name in MOVES:
+                self._core.refuse_unfelt(self._now_s())
+            stops = self._core.stops
+        try:
+            return self._orders.give(name, given, self._core.limits)
+        finally:
             with self._lock:
-                self._core.refuse(self._now_s(), message["lease_until_s"])
-                if name in MOVES:
-                    self._core.refuse_unfelt(self._now_s())
-        return self._orders.give(name, given, self._core.limits)
+                # What STOP met while it was being begun has not heard it.
+                if self._core.stops > stops:
+                    self._stop(self._now_s(), "stop")
 
     def _reply(self, message: Message, found: Found = None, error: Exception | None = None) -> None:
         number = message["id"]

@@ -73,7 +73,7 @@ class MelfaArm:
         self._core = StreamCore(settings, self._orders.placing)
         self._watch: Watch | None = None
         self._stopped = threading.Event()
-        self._console = Console(wires, settings, self._stopped.is_set)
+        self._console = Console(wires, settings, self._stopped, threading.Event())
         self._force = ForceProgram(lambda: self._console, wires, settings)
         self._lock = threading.Lock()
         self.steps = Steps()
@@ -104,9 +104,7 @@ class MelfaArm:
         self.close()
         self.state, self.fault = DeviceState.CONNECTING, None
         self._stopped.clear()
-        self._console = Console(
-            self._wires, self._settings, lambda: cancel.is_set() or self._stopped.is_set()
-        )
+        self._console = Console(self._wires, self._settings, self._stopped, cancel)
         self._measured.begin()
         self.steps.begin()
         try:
@@ -175,6 +173,8 @@ class MelfaArm:
         """Take the place that the running program replies; raises ``FaultError``."""
         placing, euler = self._orders.placing, self._settings.euler
         with self._lock:
+            if self._stopped.is_set():
+                raise FaultError(STOPPED)
             self._watch = Watch(self._wires.ask, placing, euler)
             self._wrench_cursor = self._wrench.count
             self._core.begin(self._now_s())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import threading
 from collections.abc import Callable, Mapping
 
 from backend.config.hardware import MelfaSettings
@@ -18,6 +19,7 @@ from backend.devices.melfa.link_faults import (
 from backend.devices.melfa.wires import Wires
 from backend.devices.protocols import Identity
 from backend.devices.steps import Step
+from backend.devices.streamed.motion import STOPPED
 from backend.wire.framing import WireError
 from backend.wire.melfa_r3 import Request
 from backend.wire.melfa_r3_answers import (
@@ -37,12 +39,20 @@ CLIENT = "TOUCHDOWN"
 
 
 class Console:
-    """Speaks to one controller; every refusal is a ``FaultError`` with its number."""
+    """Speaks to one controller; every refusal is a ``FaultError`` with its number.
+
+    Once it was ``stopped``, or connecting was cancelled, it begins nothing: no motors, no program.
+    """
 
     def __init__(
-        self, wires: Wires, settings: MelfaSettings, cancelled: Callable[[], bool]
+        self,
+        wires: Wires,
+        settings: MelfaSettings,
+        stopped: threading.Event,
+        cancel: threading.Event,
     ) -> None:
-        self._wires, self._settings, self._cancelled = wires, settings, cancelled
+        self._wires, self._settings = wires, settings
+        self._stopped, self._cancel = stopped, cancel
         self.unlimited = False
         """Whether the controller would wait for packets for ever, and that was allowed."""
         self.notice = ""
@@ -67,7 +77,7 @@ class Console:
             reached("identify")
             self._require_no_error()
             self._require_time_limit()
-            self.notice = notice_of_idle_check(self._wires, self._settings, self._cancelled)
+            self.notice = notice_of_idle_check(self._wires, self._settings, self._go_on)
             self._go_on()
             self.servo_on()
             self._go_on()
@@ -96,10 +106,9 @@ class Console:
             # Of a connection that broke: it is ended, never taken over.
             self.ask("STOP")
             self._wait_for_end()
+        self._go_on()
         self.ask("SLOTINIT")
-        self._wires.pace(running=True)
-        self.ask("RUN", f"{self._settings.mxt.program};1")
-        self._poll(Run.RUNNING, RUN_S, "The real-time program does not start.")
+        self._run(self._settings.mxt.program, "The real-time program does not start.")
 
     def run_probe(self, values: Mapping[str, float]) -> None:
         """Write the variables of the force program, read them back, and run it."""
@@ -110,18 +119,33 @@ class Console:
         self.ask("SLOTINIT")
         self.ask("PRGLOAD=", program)
         for name, value in values.items():
+            self._go_on()
             self.ask("HOT", f"{program};{name}={value:g}")
             told = self.ask("VAL", name)
             if not re.fullmatch(rf"{name}=([-+0-9.Ee]+)", told):
                 raise FaultError(link_fault(f"The controller tells '{told}' of {name}."))
             if not math.isclose(float(told.split("=")[1]), value, rel_tol=1e-3, abs_tol=1e-6):
                 raise FaultError(link_fault(f"The controller did not take {name} = {value:g}."))
+        self._run(program, "The force program does not start.")
+
+    def _run(self, program: str, what: str) -> None:
+        """Run a program, unless STOP came; one that was on its way as STOP came is stopped too."""
+        self._go_on()
         self._wires.pace(running=True)
         self.ask("RUN", f"{program};1")
-        self._poll(Run.RUNNING, RUN_S, "The force program does not start.")
+        try:
+            self._poll(Run.RUNNING, RUN_S, what)
+            self._go_on()
+        except FaultError:
+            self.ask("STOP")
+            self._wires.pace(running=False)
+            raise
 
     def _go_on(self) -> None:
-        if self._cancelled():
+        """Raise ``FaultError`` once nothing more may begin."""
+        if self._stopped.is_set():
+            raise FaultError(STOPPED)
+        if self._cancel.is_set():
             raise FaultError(link_fault("Connecting was cancelled."))
 
     def _identify(self) -> Identity:
@@ -149,6 +173,7 @@ class Console:
         """Switch the motors on and wait until they are; raises ``FaultError``."""
         self.ask("CNTL", "ON")
         self.ask("OVRD=", str(self._settings.override_start))
+        self._go_on()
         self.ask("SRV", "ON")
         self._poll(Run.SERVO_ON, self._settings.servo_timeout_s, "The servo does not come on.")
 

@@ -11,7 +11,7 @@ from backend.config.hardware import MelfaSettings
 from backend.config.lab_places import is_loopback
 from backend.core.faults import FaultError
 from backend.devices.melfa.ladder import FAULT_CYCLES, HOLD_CYCLES
-from backend.devices.melfa.link_faults import link_fault, starved_fault
+from backend.devices.melfa.link_faults import starved_fault
 from backend.devices.melfa.wires import Wires
 from backend.wire.melfa_joints import CYCLE_S
 
@@ -20,21 +20,18 @@ WARN_S, REFUSE_S = HOLD_CYCLES * CYCLE_S, FAULT_CYCLES * CYCLE_S
 LOOK_S = 0.1
 
 
-def notice_of_idle_check(
-    wires: Wires, settings: MelfaSettings, cancelled: Callable[[], bool]
-) -> str:
+def notice_of_idle_check(wires: Wires, settings: MelfaSettings, go_on: Callable[[], None]) -> str:
     """Watch for ``settings.idle_check_s``; return what the operator should know, "" for nothing.
 
     Raises ``FaultError`` RIG-STARVED for a gap that would end the stream of an arm that is not
-    emulated on this computer, and where connecting is cancelled meanwhile.
+    emulated on this computer; ``go_on`` raises where connecting is cancelled meanwhile.
     """
     if not settings.idle_check_s:
         return ""
     wires.watch_anew()
     watched_s = 0.0
     while watched_s < settings.idle_check_s:
-        if cancelled():
-            raise FaultError(link_fault("Connecting was cancelled."))
+        go_on()
         wires.pause(LOOK_S)
         watched_s += LOOK_S
     times = wires.times

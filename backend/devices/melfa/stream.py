@@ -117,7 +117,13 @@ class StreamCore:
         self.phase = Phase.OPENING
 
     def run(self, program: Program | JointProgram) -> None:
-        """Take ``program`` in place of any other from the next cycle on."""
+        """Take ``program`` in place of any other from the next cycle on.
+
+        One whose stream STOP has just ended ends with it: it must not wait for the next stream.
+        """
+        if self.phase in (Phase.IDLE, Phase.ENDING):
+            program.motion.end(STOPPED)
+            return
         if self.program is not None and self.program is not program:
             self.program.motion.end(REPLACED)
         self.program = program

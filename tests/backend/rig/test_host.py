@@ -96,6 +96,22 @@ def test_stop_ends_the_stream_in_the_same_round(rig):
     assert reason(rig.lift) == "STOPPED"
 
 
+def test_stop_that_comes_while_an_order_is_begun_is_not_forgotten(rig):
+    begin = rig.arm.move_to
+
+    def interrupted(*given):
+        rig.stop(1)
+        return begin(*given)
+
+    rig.arm.move_to = interrupted
+    rig.rounds(0.05)
+    motion = rig.lift()
+    assert moved_mm(rig, 0.5) < 0.01
+    assert rig.fault_of(motion).code == "STOPPED"
+    assert rig.arm.describe()["stream"] == "idle"
+    assert reason(rig.lift) == "STOPPED"
+
+
 def test_without_a_backend_the_rig_stops_the_arm_and_wants_to_leave(rig):
     rig.lift()
     rig.rounds(0.05)

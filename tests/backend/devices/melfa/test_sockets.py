@@ -268,5 +268,5 @@ def test_stop_while_connecting_ends_the_start_up():
     finally:
         arm.close()
         front.close()
-    assert raised == ["ARM-LINK"]
+    assert raised == ["STOPPED"]
     assert front.stops

@@ -113,9 +113,13 @@ class GelsightFront(Front):
         self._pull()
         while self._is_unplugged() and not self._stop.wait(IDLE_S):
             pass
-        before.touch()
-        self._node = self._plug()
-        before.unlink()
+        try:
+            before.touch()
+            self._node = self._plug()
+            before.unlink()
+        except FileNotFoundError:
+            # The folder was taken away meanwhile: there is nowhere to come back to.
+            self._stop.set()
 
     def _picture(self, now_s: float) -> bytes | None:
         picture = self._pictures(now_s)

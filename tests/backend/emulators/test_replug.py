@@ -1,4 +1,4 @@
-"""A pseudo terminal that is pulled and put back after somebody removed the folder of its name."""
+"""A terminal, or a camera, put back after somebody removed the folder that it was in."""
 
 import shutil
 import sys
@@ -7,6 +7,7 @@ import pytest
 
 from backend.emulators.dynpick import EmulatedDynpick
 from backend.emulators.faults import Faults
+from backend.emulators.gelsight import GelsightFront
 from tests.backend.devices.waiting import until
 
 
@@ -37,3 +38,17 @@ def test_a_folder_that_never_was_is_refused_at_the_start(tmp_path):
 
     with pytest.raises(FileNotFoundError):
         PtyFront(EmulatedDynpick(lambda now_s: (0.0,) * 6), link=tmp_path / "nowhere" / "wrist")
+
+
+def test_a_camera_whose_folder_is_gone_ends_quietly(tmp_path):
+    folder = tmp_path / "cameras"
+    front = GelsightFront(lambda now_s: None, folder)
+    front.start()
+    try:
+        front.inject("unplug")
+        until(lambda: not any((folder / "nodes").iterdir()))
+        shutil.rmtree(folder)
+        front.faults.clear()
+        until(lambda: not front._thread.is_alive())
+    finally:
+        front.close()

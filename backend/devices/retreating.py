@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol, runtime_checkable
 
 RETREAT_MM, RETREAT_MM_S = 2.0, 10.0
-RETREATS = frozenset({"FT-TRIP", "CONTACT-STIFF", "CONTACT-SWINGS"})
+RETREATS = frozenset({"FT-TRIP", "FT-OVERLOAD", "CONTACT-STIFF", "CONTACT-SWINGS"})
 """Codes of faults at which an arm that can draws back from the contact; at all others it stops."""
 
 

@@ -9,7 +9,7 @@ NAME = "force_torque"
 OVERLOAD = Fault(
     "FT-OVERLOAD",
     "The force/torque sensor is at the end of its range.",
-    "Forces beyond are not measured.",
+    "Forces beyond are not measured; the arm draws back by 2 mm. The gripper was not opened.",
     "Relieve the sensor, check its zero, then connect it again.",
     NAME,
 )

@@ -25,7 +25,11 @@ KEPT = 64
 
 
 class Repeats(logging.Filter):
-    """Lets each text through once in ``AGAIN_S``; says then how often it came in between."""
+    """Lets each text through once in ``AGAIN_S``; says then how often it came in between.
+
+    A record that says where its error was raised (``raised``) counts as that, whatever its text: a
+    number in it, or that of a thread, would make each another one.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -34,11 +38,12 @@ class Repeats(logging.Filter):
     def filter(self, record: logging.LogRecord) -> bool:
         """Whether ``record`` is written."""
         text = record.getMessage()
-        since_s, count = self._seen.pop(text, (-math.inf, 0))
+        same = getattr(record, "raised", text)
+        since_s, count = self._seen.pop(same, (-math.inf, 0))
         if record.created - since_s < AGAIN_S:
-            self._seen[text] = (since_s, count + 1)
+            self._seen[same] = (since_s, count + 1)
             return False
-        self._seen[text] = (record.created, 0)
+        self._seen[same] = (record.created, 0)
         while len(self._seen) > KEPT:
             self._seen.popitem(last=False)
         if count:
@@ -68,7 +73,8 @@ class ErrorBox:
     ) -> None:
         """Note an exception that nobody caught."""
         details = "".join(traceback.format_exception(kind, error, trace))
-        log.error("uncaught in %s\n%s", where, details)
+        raised = f"{kind.__name__} {traceback.extract_tb(trace)[-1:]}"
+        log.error("uncaught in %s\n%s", where, details, extra={"raised": raised})
         self._cards.append(
             CardText(
                 code=f"BUG-{kind.__name__.upper()}",

@@ -68,6 +68,14 @@ def test_the_same_error_in_every_frame_is_counted_and_written_now_and_then(
     assert cards == BOX
 
 
+def test_an_error_whose_text_changes_is_known_by_where_it_was_raised(folder: Path) -> None:
+    box = ErrorBox()
+    for number in range(50):
+        fail(box, f"thread {number}")
+    (text,) = [path.read_text() for path in folder.iterdir()]
+    assert text.count("ERROR uncaught in the window") == 1
+
+
 def test_errors_that_are_never_the_same_fill_no_disk(folder: Path) -> None:
     for number in range(2500):
         log.error("error %d %s", number, "x" * 2000)

@@ -25,7 +25,7 @@ from tests.bench.registry import Figure, figure
 ASKED, KILLS = 100, 20
 TOLD_S, GONE_S, FREE_MS = 0.5, 3.0, 10.0
 LIMIT_S = 180.0
-CHILD = [sys.executable, "-m", "tests.bench.fault_window"]
+WINDOW = "tests.bench.fault_window"
 HOLDS = {
     "robot": "from backend.devices.melfa.claim import Claim; it = Claim('10.0.0.1', 10001)",
     "dataset": "from backend.core.locks import lock_file; from pathlib import Path; "
@@ -43,13 +43,15 @@ def hooked() -> Iterator[Mapping[str, str]]:
         yield {**os.environ, "PYTHONPATH": path, "QT_QPA_PLATFORM": "offscreen"}
 
 
-def window(environment: Mapping[str, str], *words: str) -> dict[str, float | str]:
+def window(
+    environment: Mapping[str, str], *words: str, module: str = WINDOW
+) -> dict[str, float | str]:
     """Let a worker of a window fail in a process of its own; return what came of it."""
     missed: dict[str, float | str] = {"told_s": LIMIT_S, "closed_s": LIMIT_S, "left": 0}
     try:
         done = subprocess.run(
-            [*CHILD, *words], env=environment, capture_output=True, text=True, timeout=LIMIT_S,
-            check=False,
+            [sys.executable, "-m", module, *words], env=environment, capture_output=True, text=True,
+            timeout=LIMIT_S, check=False,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
         return {**missed, "named": "nothing"}
@@ -125,7 +127,10 @@ def quitting_asked_for_by_workers(asked: int = ASKED) -> list[Figure]:
         with (
             hooked() as environment,
             subprocess.Popen(
-                [*CHILD, "quit", thread], env=environment, stdout=subprocess.PIPE, text=True
+                [sys.executable, "-m", WINDOW, "quit", thread],
+                env=environment,
+                stdout=subprocess.PIPE,
+                text=True,
             ) as child,
         ):
             assert child.stdout is not None

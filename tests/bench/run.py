@@ -44,6 +44,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.fault_streams",
     "tests.bench.fault_data",
     "tests.bench.fault_workers",
+    "tests.bench.fault_raising",
     "tests.bench.wired_parts",
 )
 """Modules that register figures, in the order of the table."""

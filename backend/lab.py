@@ -27,6 +27,7 @@ from backend.rig.flight import FlightRecorder
 from backend.rig.link import LATE_S
 from backend.rig.wired import WiredDevices
 from backend.runs.bench import NoModel
+from backend.runs.gel_check import GelCheck
 from backend.runs.requests import SceneChoice
 from backend.runs.stage import Stage
 from backend.sensing.live import RawStreams
@@ -112,7 +113,8 @@ class _LabBench:
                 session.prepare(self._first)
 
         connection.when_ready = set_first
-        session.calibrations = calibrations_of(self._lab)
+        session.calibrations = store = calibrations_of(self._lab)
+        connection.prove = GelCheck(store, wired.devices, raw.frames).prove
         limits = Limits(**settings.limits.model_dump())
         session.join(connection, settings.name, limits, str(self._lab.path))
 

@@ -223,7 +223,8 @@ class CalibratePresenter:
             return standing.why[:1].upper() + standing.why[1:], "bad" if needed else ""
         file = standing.record.file
         left = days_words(standing.record.days_left(datetime.now(UTC)))
-        return f"{file.residual:.2g} of {file.limit:g} {file.unit}, holds {left}", "good"
+        also = f"; {standing.notice}" if standing.notice else ""
+        return f"{file.residual:.2g} of {file.limit:g} {file.unit}, holds {left}{also}", "good"
 
     def _live(self) -> str:
         minus, now_s = "\N{MINUS SIGN}", self._link.clock_s()

@@ -32,6 +32,7 @@ class Estimate:
 
     ``covariance`` (k, k) of the quantities, in their units. ``obstacle``: why it cannot be accepted
     whatever the residual, "" if nothing stands against it; ``note``: what it does not tell.
+    ``gels_px``: as of the fact.
     """
 
     quantities: tuple[Quantity, ...]
@@ -42,6 +43,7 @@ class Estimate:
     unit: str
     note: str = ""
     obstacle: str = ""
+    gels_px: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         read_only(self.covariance)
@@ -63,6 +65,7 @@ class Estimate:
             note=self.note,
             obstacle=self.obstacle,
             about=about,
+            gels_px=self.gels_px,
         )
 
     @property

@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
 
+from backend.calibration.gels import NUMBERS
 from backend.calibration.kinds import KINDS, MIRRORS, ON, What
 from backend.config.method import Settings
 from backend.core.faults import InputError
@@ -55,6 +56,9 @@ class CalibrationFile(Settings):
     devices: dict[str, DeviceName]
     about: str = ""
     """Which piece on which bottom, "" where neither matters."""
+    gels: dict[str, tuple[Finite, ...]] = Field(default_factory=dict)
+    """Of each camera, by its name in ``devices``, u and v of the 63 dots at rest: the fingerprint
+    of its gel. Empty where none was taken."""
 
     @property
     def expires(self) -> datetime:
@@ -106,10 +110,11 @@ def content_sha256(file: CalibrationFile) -> str:
 
 
 def _content(file: CalibrationFile) -> dict[str, object]:
-    """Return what is written and hashed; files from before ``about`` keep their hash."""
+    """Return what is written and hashed; files from before ``about``, ``gels`` keep their hash."""
     content = file.model_dump(mode="json")
-    if not file.about:
-        del content["about"]
+    for later in ("about", "gels"):
+        if not content[later]:
+            del content[later]
     return content
 
 
@@ -158,6 +163,9 @@ def _flaw(file: CalibrationFile) -> str:
             return f"The calibration knows no such mirror: '{name}'."
     if file.about and len(file.about.split(ON)) != 2:
         return "The calibration does not say which piece was on which bottom."
+    for name, numbers in file.gels.items():
+        if len(numbers) != NUMBERS or name not in file.devices:
+            return f"The calibration holds no fingerprint of a gel: '{name}'."
     return ""
 
 

@@ -42,6 +42,13 @@ class Standing:
         """What to do about it."""
         return "" if self.condition == "valid" else f"Run '{self.command}'."
 
+    @property
+    def notice(self) -> str:
+        """What one that holds does not tell, "" for nothing."""
+        if self.what != "camera" or self.record is None or self.record.file.gels:
+            return ""
+        return "no fingerprint of the gels yet"
+
 
 class CalibrationStore:
     """The files of one folder; only those of the same ``mode`` of bench count.
@@ -62,8 +69,9 @@ class CalibrationStore:
         devices: Mapping[str, DeviceName],
         person: str = "",
         now: datetime | None = None,
+        gels: Mapping[str, tuple[float, ...]] | None = None,
     ) -> Path:
-        """Write a calibration; returns its path.
+        """Write a calibration; returns its path. ``gels``: fingerprints, as the file has them.
 
         Raises ``RefusedError`` "RESIDUAL" or "OBSTACLE" for what is not acceptable, ``InputError``
         where the folder cannot be written.
@@ -96,6 +104,7 @@ class CalibrationStore:
             expires_days=kind.days,
             devices={name: devices[name] for name in kind.devices if name in devices},
             about=measured.about,
+            gels=dict(gels or {}),
         )
         record = Record.of(file)
         path = self.folder / f"{kind.what}-{date:%Y%m%d-%H%M%S}-{record.sha256[:8]}.json"

@@ -236,7 +236,8 @@ class CalibrationMeasured(Fact):
     ``values`` by ``names``, each with its standard uncertainty and unit; ``residual`` and its
     ``limit`` in ``unit``, ``residuals`` per measurement. ``obstacle``: what stands against it
     whatever the residual, "" if nothing does; ``note``: what it leaves open. ``about``: which piece
-    on which bottom.
+    on which bottom. ``gels_px``: of cameras the u and v of the 63 resting dots of the left picture,
+    then of the right one; empty where they were not seen at rest.
     """
 
     what: str
@@ -251,6 +252,7 @@ class CalibrationMeasured(Fact):
     note: str
     obstacle: str
     about: str = ""
+    gels_px: tuple[float, ...] = ()
 
     @property
     def acceptable(self) -> bool:

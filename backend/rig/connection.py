@@ -21,7 +21,7 @@ CONNECT_S = 10.0
 JOIN_S = 15.0
 HOME_S = 20.0
 LineState = Literal["closed", "waiting", "connecting", "ready", "failed"]
-ARM_NEEDS = "force_torque"
+ARM, ARM_NEEDS = "arm", "force_torque"
 LINK_LOST = ("WSG-LINK", "CONTROL-LOST")
 """A gripper that is out of reach has nothing to acknowledge: it is connected again first."""
 
@@ -59,6 +59,9 @@ class Connection:
     ) -> None:
         self.devices = dict(devices)
         self.when_ready = when_ready
+        self.prove: Callable[[str, threading.Event], None] = lambda name, cancel: None
+        """Called for each device but the arm, once all of them answer and before the arm is
+        switched on; raises ``FaultError`` for one that must not be used: it is closed again."""
         self._limit_s = limit_s
         self._known = {name: serial for name, serial in (serials or {}).items() if serial}
         self._faults: dict[str, Fault] = {}
@@ -144,13 +147,18 @@ class Connection:
             self._thread.start()
 
     def _connect(self, names: Sequence[str]) -> None:
+        first, arm = [n for n in names if n != ARM], [n for n in names if n == ARM]
+        steps = ((self._connect_one, first), (self._prove_one, first), (self._connect_one, arm))
         try:
-            for name in names:
-                if self._cancel.is_set():
-                    break
-                self._present = name
-                self._waiting.remove(name)
-                self._told(name, partial(self._connect_one, name))
+            for work, wanted in steps:
+                for name in wanted:
+                    if self._cancel.is_set():
+                        return
+                    if work == self._prove_one and self._is_away(name):
+                        continue
+                    self._present = name
+                    self._waiting = [one for one in self._waiting if one != name]
+                    self._told(name, partial(work, name))
         finally:
             self._present, self._waiting = "", []
         if self.ready and not self._cancel.is_set():
@@ -161,13 +169,20 @@ class Connection:
 
     def _connect_one(self, name: str) -> None:
         device = self.devices[name]
-        if name == "arm" and self._is_away(ARM_NEEDS):
+        if name == ARM and self._is_away(ARM_NEEDS):
             raise FaultError(NO_WRIST)
         device.close()
         device.connect(self._limit_s, self._cancel)
         require_serial(device, self._known.get(name, ""))
         if device.identity is not None:
             self._known[name] = device.identity.serial
+
+    def _prove_one(self, name: str) -> None:
+        try:
+            self.prove(name, self._cancel)
+        except FaultError:
+            self.devices[name].close()
+            raise
 
     def _close(self, names: Sequence[str]) -> None:
         for name in names:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from backend.calibration.camera import SIDES, Push, Side, estimate_cameras, tells_fingers
 from backend.calibration.estimate import Estimate
+from backend.calibration.gels import as_numbers
 from backend.core.facts import PhaseEntered, Progress, Said
 from backend.core.faults import Fault, RefusedError
 from backend.core.flow import FINGERS, FloatArray, Pose
@@ -17,10 +19,11 @@ from backend.runs import words
 from backend.runs.again import again_if_void
 from backend.runs.bench import Bench
 from backend.runs.jig import pick, put_back
-from backend.runs.motions import MOVE_S, go, zero_sensors
+from backend.runs.motions import MOVE_S, go, rest, zero_sensors
 from backend.runs.plan import Checkpoint, Plan, Waiting
 from backend.runs.requests import CalibrateRequest
 from backend.runs.touching import find_height, rise_to
+from backend.sensing.reference import take_reference
 
 OUT = 0.7
 """The axis of the tool goes beyond the rim of the bottom by this share of the half width of the
@@ -29,13 +32,31 @@ ACROSS: tuple[Side, Side] = ("+y", "-y")
 """The sides on which one finger feels more than the other."""
 ROUNDS, MOST_ROUNDS = 3, 10
 MOST = len(SIDES) + len(ACROSS) * (MOST_ROUNDS - 1)
+REST_S = 0.8
 DEPTH_MM, RAMP_S, HOLD_S, MEAN_S = 1.2, 0.8, 1.4, 0.4
 
 
 def measure_cameras(bench: Bench, request: CalibrateRequest) -> Plan[Estimate]:
     """Return the scale of both cameras; an obstacle if a finger or a mirror is set wrongly."""
+    gels_px, why = yield from _gels_at_rest(bench)
     pushed = yield from _pushes(bench, request)
-    return estimate_cameras(pushed, request.pitch_mm)
+    found = estimate_cameras(pushed, request.pitch_mm)
+    known = "The gels are known again by their dots." if gels_px else f"No fingerprint: {why}"
+    return replace(found, gels_px=gels_px, note=f"{found.note} {known}")
+
+
+def _gels_at_rest(bench: Bench) -> Plan[tuple[tuple[float, ...], str]]:
+    """Return the resting dots of both gels while the hand is still empty, or none and why."""
+    yield from rest(bench, REST_S)
+    now_s = bench.now_s()
+    numbers: list[float] = []
+    for finger in FINGERS:
+        fields = bench.sensing.fields[finger].between(now_s - REST_S, now_s)
+        try:
+            numbers += as_numbers(take_reference(fields).position_px)
+        except RefusedError as error:
+            return (), f"{finger}: {error.detail}"
+    return tuple(numbers), ""
 
 
 def _pushes(bench: Bench, request: CalibrateRequest) -> Plan[list[Push]]:
@@ -106,14 +127,14 @@ def _push(bench: Bench, side: Side) -> Plan[Push]:
 def _felt(bench: Bench, side: Side) -> Push:
     """Return the means of the end of the press."""
     now_s = bench.now_s()
-    rest, moved = [], []
+    at_rest, moved = [], []
     for finger in FINGERS:
         fields = bench.sensing.fields[finger].between(now_s - MEAN_S, now_s)
         if not fields:
             raise RefusedError("NO-SAMPLES", f"The {finger} camera was silent.")
-        rest.append(bench.sensing.references[finger].position_px)
+        at_rest.append(bench.sensing.references[finger].position_px)
         moved.append(np.mean([field.displacement_px for field in fields], axis=0))
-    return Push(side, np.stack(rest), np.stack(moved))
+    return Push(side, np.stack(at_rest), np.stack(moved))
 
 
 def _towards(side: Side) -> FloatArray:

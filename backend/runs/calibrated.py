@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from backend.calibration.applied import placed_by, refuse_other_bottom
+from backend.calibration.gels import NUMBERS, as_numbers, as_places, turned
 from backend.calibration.kinds import MIRRORS, What
 from backend.calibration.record import DeviceName, Record
 from backend.calibration.store import CalibrationStore
@@ -100,7 +101,7 @@ def keep(
     """Accept what was measured with ``devices``; refused as ``CalibrationStore.accept``.
 
     Of the cameras it keeps which serial number is at which finger and how each raw picture is to be
-    mirrored, whatever the settings were while it was measured.
+    mirrored, and the fingerprint of each gel, whatever the settings were while it was measured.
     """
     names = device_names(devices)
     if measured.what != "camera":
@@ -110,13 +111,22 @@ def keep(
     if values["exchanged"]:
         sources = {"left": "right", "right": "left"}
     sits: dict[str, float] = {"exchanged": 0.0}
+    gels: dict[str, tuple[float, ...]] = {}
+    seen_px = dict(zip(FINGERS, _places(measured.gels_px), strict=False))
     for finger, source in sources.items():
         now = str(devices[f"tactile_{source}"].describe().get("mirror", "none"))
-        turned = round(values[f"{finger}_mirror"]) ^ MIRRORS.index(now)
-        sits[f"{finger}_mirror"] = float(turned)
+        code = round(values[f"{finger}_mirror"]) ^ MIRRORS.index(now)
+        sits[f"{finger}_mirror"] = float(code)
+        if source in seen_px:
+            gels[f"tactile_{finger}"] = as_numbers(turned(seen_px[source], now))
     kept = tuple(sits.get(name, value) for name, value in values.items())
     cameras = {f"tactile_{f}": names[f"tactile_{s}"] for f, s in sources.items()}
-    return store.accept(replace(measured, values=kept), {**names, **cameras}, person)
+    return store.accept(replace(measured, values=kept), {**names, **cameras}, person, gels=gels)
+
+
+def _places(gels_px: Sequence[float]) -> list[FloatArray]:
+    """Return the dots (63, 2) of each finger, none where no fingerprint was taken."""
+    return [as_places(gels_px[i : i + NUMBERS]) for i in range(0, len(gels_px), NUMBERS)]
 
 
 def as_metadata(used: Used) -> tuple[tuple[str, str], ...]:

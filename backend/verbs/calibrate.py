@@ -216,6 +216,7 @@ def _status(store: CalibrationStore, screen: Screen) -> int:
             "what": standing.what,
             "condition": standing.condition,
             "why": standing.why,
+            "notice": standing.notice,
             "sha256": None if record is None else record.sha256,
             "days_left": left,
         })  # fmt: skip
@@ -223,6 +224,8 @@ def _status(store: CalibrationStore, screen: Screen) -> int:
     for standing in standings:
         if standing.fix:
             screen.say(f"{KINDS[standing.what].title}: {standing.why}. {standing.fix}")
+        elif standing.notice:
+            screen.say(f"{KINDS[standing.what].title}: {standing.notice}.")
     screen.result({"version": JSON_VERSION, "folder": str(store.folder), "calibrations": rows})
     return 0 if all(standing.condition == "valid" for standing in standings) else 1
 

@@ -160,6 +160,8 @@ def test_what_cannot_be_applied_is_damaged_though_its_hash_fits(
         *(lambda c, name=name: c["values"].pop(name) for name in KINDS[what].values),
         lambda c: c.update(about="pot"),
         lambda c: c.update(about="a on b on c"),
+        lambda c: c.update(gels={next(iter(c["devices"]), "arm"): [1.0] * 125}),
+        lambda c: c.update(gels={"nobody": [1.0] * 126}),
         lambda c: c["values"].update(left_mirror={"value": 4.0, "sigma": 0.0, "unit": ""}),
         lambda c: c["values"].update(left_mirror={"value": 0.5, "sigma": 0.0, "unit": ""}),
     ]

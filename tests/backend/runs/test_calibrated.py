@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from importlib.resources import files
 
@@ -11,6 +12,7 @@ import pytest
 from backend.assembly import SimulatedBenchChoice, simulated_session
 from backend.calibration.applied import seen_by
 from backend.calibration.estimate import Estimate, Quantity
+from backend.calibration.gels import as_places, turned
 from backend.calibration.kinds import KINDS, WHATS
 from backend.calibration.store import CalibrationStore
 from backend.config.hardware import GelsightSettings
@@ -28,6 +30,7 @@ from backend.runs.requests import (
     StackRequest,
 )
 from backend.session import Keep
+from backend.simulation.gel_look import load_look
 
 NOW = datetime.now(UTC)
 WEIGHED = Estimate(
@@ -109,9 +112,15 @@ def test_cameras_are_kept_as_they_sit_whatever_the_settings_were(tmp_path) -> No
         for finger, serial, mirror in (("left", "AAAA-1111", "x"), ("right", "BBBB-2222", "none"))
     }
     store = CalibrationStore(tmp_path, "hardware")
-    keep(store, SEEN.told(0.0, "camera"), devices)
+    at_px = {"A": load_look().rest_px, "B": load_look().rest_px + np.array([5.0, -3.0])}
+    shown = (turned(at_px["A"], "x"), at_px["B"])
+    gels_px = tuple(np.concatenate([px.ravel() for px in shown]).tolist())
+    keep(store, replace(SEEN, gels_px=gels_px).told(0.0, "camera"), devices)
     record = store.standing("camera", {}).record
     assert record is not None
+    # The fingerprints go with their cameras, and are those of the raw pictures.
+    for name, gel in (("tactile_left", "B"), ("tactile_right", "A")):
+        np.testing.assert_allclose(as_places(record.file.gels[name]), at_px[gel], atol=1e-3)
     settings = GelsightSettings.model_validate(
         {
             "left": {"serial": "AAAA-1111", "mirror": "x"},

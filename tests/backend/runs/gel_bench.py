@@ -1,0 +1,104 @@
+"""Two cameras that show rendered gels, connected as on a real bench, by a hand-wound clock.
+
+Each picture is a JPEG that passes the gate of the driver. What is drawn are resting dots, noise,
+brightness and a slow creep; what is known of the gels is an accepted calibration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from backend.calibration.estimate import Estimate, Quantity
+from backend.calibration.gels import as_numbers
+from backend.calibration.store import CalibrationStore
+from backend.config.hardware import GelsightSettings
+from backend.core.flow import FINGERS, MARKERS, TactileFrame
+from backend.core.stream import Stream
+from backend.devices.cameras.gate import Gate
+from backend.devices.protocols import GripStatus
+from backend.emulators.gelsight import encode
+from backend.rig.connection import Connection
+from backend.runs.calibrated import keep
+from backend.runs.gel_check import GelCheck
+from backend.simulation.gel_look import load_look, mirrored
+from backend.simulation.optics import FingerOptics
+from tests.backend.rig.scripted import scripted
+
+LOOKS = {"left": load_look(), "right": mirrored(load_look())}
+NOBODY = np.zeros(MARKERS, dtype=bool)
+PERIOD_S = 0.04
+SCALES = ("left_u_mm_px", "left_v_mm_px", "right_u_mm_px", "right_v_mm_px")
+
+
+class Gel:
+    """A gel under a camera: three pictures in turn, with a whole creep (2,) and ``light``."""
+
+    def __init__(self, look, seed: int, creep_px=(0.0, 0.0), light: float = 1.0) -> None:
+        self.look, optics = look, FingerOptics(look, seed)
+        moved_px = np.tile(creep_px, (MARKERS, 1))
+        levels = [light * optics.render(moved_px, NOBODY).astype(np.float64) for _ in range(3)]
+        self._sent = [encode(np.clip(one, 0, 255).astype(np.uint8)) for one in levels]
+
+    @cache  # noqa: B019
+    def seen(self, mirror: str):
+        """Return what the gate of the driver makes of them."""
+        own = {"mirror": mirror}
+        gate = Gate("left", "left", GelsightSettings(crop_fraction=0.0, left=own), 0.0)
+        return [gate.judge(0.0, sent) for sent in self._sent]
+
+
+class GelBench:
+    """``gels`` by finger are under the cameras; ``pictures`` says what a camera sends instead."""
+
+    def __init__(self, folder, gels, mirror: str = "none") -> None:
+        self.gels, self.mirror, self._now_s = dict(gels), mirror, 0.0
+        self.frames = {finger: Stream(finger, 64) for finger in FINGERS}
+        self.store = CalibrationStore(folder, "hardware")
+        self.devices, self.log = scripted()
+        self.holding = False
+        for finger in FINGERS:
+            self.devices[f"tactile_{finger}"].describe = lambda: {"mirror": self.mirror}
+        self.devices["gripper"].status = lambda: GripStatus(20.0, 0.0, holding=self.holding)
+        self.connection = Connection(self.devices)
+        self.connection.prove = GelCheck(
+            self.store, self.devices, self.frames, lambda cancel: self.shoot()
+        ).prove
+
+    def shoot(self) -> None:
+        """Let each camera send one picture."""
+        self._now_s += PERIOD_S
+        for finger, gel in self.gels.items():
+            number = self.frames[finger].count
+            image = gel.seen(self.mirror)[number % 3]
+            frame = TactileFrame(finger, number, self._now_s, image, True)
+            self.frames[finger].put(self._now_s, frame)
+
+    def calibrate(self, *, fingerprint: bool = True) -> None:
+        """Accept a calibration of the gels as they are."""
+        self._connected()
+        numbers = [n for gel in self.gels.values() for n in as_numbers(gel.look.rest_px)]
+        codes = ("exchanged", "left_mirror", "right_mirror")
+        quantities = [Quantity(name, 0.0, 0.0, "") for name in codes]
+        quantities += [Quantity(name, 0.06, 0.0, "mm/px") for name in SCALES]
+        found = Estimate(tuple(quantities), np.zeros((7, 7)), np.zeros(4), 1.7, 3.0, "px")
+        keep(
+            self.store,
+            replace(found, gels_px=tuple(numbers if fingerprint else ())).told(0.0, "camera"),
+            self.devices,
+        )
+
+    def connect(self) -> dict[str, str]:
+        """Connect anew; return the fault of each device that was refused, by its code."""
+        return {name: fault.code for name, fault in self.faults().items()}
+
+    def faults(self):
+        """Connect anew; return the fault of each device that was refused."""
+        self._connected()
+        return {line.name: line.fault for line in self.connection.lines() if line.fault}
+
+    def _connected(self) -> None:
+        self.connection.begin(tuple(self.devices))
+        assert self.connection.wait(60.0)

@@ -36,6 +36,8 @@ class GripWatch:
 
     def __init__(self, gripper: Gripper | None = None) -> None:
         self._gripper = gripper
+        # Asked once: in every step it takes as long as the rest of the watch.
+        self._ordered = gripper if isinstance(gripper, Ordered) else None
         self._grips = 0
         self._since_s: float | None = None
         self._width_mm = self._force_n = 0.0
@@ -59,7 +61,7 @@ class GripWatch:
         if gripper.state is not DeviceState.READY:
             self._since_s = None
             return None
-        if self._lets_go(gripper) or not told:
+        if self._lets_go() or not told:
             return None
         if self._since_s is None:
             self._since_s = now_s if status.holding else None
@@ -88,15 +90,16 @@ class GripWatch:
             self._weak_s = None
         return self._weak_s is not None and now_s - self._weak_s >= WEAK_S - 1e-6
 
-    def _lets_go(self, gripper: Gripper) -> bool:
+    def _lets_go(self) -> bool:
         """Whether what is held may leave now. A newer grip is watched from its own beginning."""
-        if not isinstance(gripper, Ordered):
+        ordered = self._ordered
+        if ordered is None:
             return False
-        if gripper.letting_go or gripper.grips != self._grips:
+        if ordered.letting_go or ordered.grips != self._grips:
             # A newer grip may close it further; what is let go may leave.
             self._since_s = None
-        self._grips = gripper.grips
-        return gripper.letting_go
+        self._grips = ordered.grips
+        return ordered.letting_go
 
 
 def _lost(what: str) -> Fault:

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import astuple, dataclass
-
-import numpy as np
+from dataclasses import dataclass
 
 from backend.core.facts import Fact, Noticed
 from backend.core.faults import Fault, StaleSampleError
@@ -108,5 +106,7 @@ def _same_load(one: tuple[bool, float], other: tuple[bool, float]) -> bool:
 
 
 def _stands(one: Pose, other: Pose) -> bool:
-    change = np.abs(np.subtract(astuple(one), astuple(other)))
-    return bool(change[:3].max() <= STILL_MM and change[3:].max() <= STILL_RAD)
+    # Number by number: asked in every step, of so few numbers, arrays take ten times as long.
+    moved = (one.x_mm - other.x_mm, one.y_mm - other.y_mm, one.z_mm - other.z_mm)
+    turned = (one.rx_rad - other.rx_rad, one.ry_rad - other.ry_rad, one.rz_rad - other.rz_rad)
+    return all(abs(d) <= STILL_MM for d in moved) and all(abs(d) <= STILL_RAD for d in turned)

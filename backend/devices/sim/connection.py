@@ -19,8 +19,9 @@ class Connection:
         self.name, self._model, self._now_s = name, model, now_s
         self._state = DeviceState.CLOSED
         self._identity: Identity | None = None
-        self._received, self._lost = 0, 0
-        self._arrivals: deque[tuple[float, int]] = deque(maxlen=256)
+        self._received, self._lost, self._recent = 0, 0, 0
+        self._newest_s = float("-inf")
+        self._arrivals: deque[tuple[float, int]] = deque()
         self._lock = threading.Lock()
 
     @property
@@ -44,7 +45,8 @@ class Connection:
             if self.ready:
                 return
             self._identity = Identity("Touchdown", self._model, f"SIM-{self.name}", "simulated")
-            self._received, self._lost = 0, 0
+            self._received, self._lost, self._recent = 0, 0, 0
+            self._newest_s = float("-inf")
             self._arrivals.clear()
             self._state = DeviceState.READY
 
@@ -57,19 +59,26 @@ class Connection:
         with self._lock:
             self._received += count
             self._lost += lost
+            self._recent += count
+            self._newest_s = t_s
             self._arrivals.append((t_s, count))
+            self._forget(t_s)
 
     @property
     def health(self) -> Health:
         """Rate over the last second of bench time, age of the newest sample, counts."""
         now_s = self._now_s()
         with self._lock:
-            newest_s = self._arrivals[-1][0] if self._arrivals else float("-inf")
-            recent = [(t, n) for t, n in self._arrivals if t > now_s - RATE_WINDOW_S]
+            self._forget(now_s)
+            newest_s, recent = self._newest_s, self._recent
             received, lost = self._received, self._lost
         span_s = min(RATE_WINDOW_S, max(now_s, 1e-6))
-        rate_hz = sum(n for _, n in recent) / span_s
-        return Health(rate_hz, now_s - newest_s, received, lost)
+        return Health(recent / span_s, now_s - newest_s, received, lost)
+
+    def _forget(self, now_s: float) -> None:
+        """Leave out what came before the last second; asked in every step of the bench."""
+        while self._arrivals and self._arrivals[0][0] <= now_s - RATE_WINDOW_S:
+            self._recent -= self._arrivals.popleft()[1]
 
     def require_ready(self) -> None:
         """Raise ``FaultError`` unless connected."""

@@ -207,7 +207,7 @@ class MelfaFront(Front):
             session.gone = True
             return
         now_s = self._took(data)
-        if b"STOP" in data:
+        if b";STOP\r" in data:
             self.stops.append(now_s)
         self._reply(client, session, session.receive(now_s, data))
 

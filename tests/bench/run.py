@@ -42,6 +42,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.operators_day",
     "tests.bench.faults_wired",
     "tests.bench.fault_streams",
+    "tests.bench.fault_arm",
     "tests.bench.fault_controller",
     "tests.bench.fault_data",
     "tests.bench.fault_workers",

@@ -30,14 +30,17 @@ TOP = Pose(0.0, 0.0, 160.0)
 
 
 class Served:
-    """The three emulated devices; ``settings`` lead a driver to them."""
+    """The three emulated devices; ``settings`` lead a driver to them.
 
-    def __init__(self):
+    ``serve`` makes the front of the arm, ``feel`` is what the wrist sensor feels at a time.
+    """
+
+    def __init__(self, serve=MelfaFront, feel=hanging, **more):
         # A machine that is busy with other tests may stall: the controller waits for it.
-        wanted = melfa_settings(servo_delay_s=0.05, mxt={"mxttout": 2000})
+        wanted = melfa_settings(servo_delay_s=0.05, mxt={"mxttout": 2000}, **more)
         start = Orders(wanted).placing.joints(np.array([0.0, 0.0, 60.0]), READY_RAD)
-        self.arm = MelfaFront(EmulatedMelfa(wanted, start_rad=start))
-        self.wrist = TcpFront(EmulatedDynpick(noisy(hanging)))
+        self.arm = serve(EmulatedMelfa(wanted, start_rad=start))
+        self.wrist = TcpFront(EmulatedDynpick(noisy(feel)))
         self.gripper = TcpFront(EmulatedWsg())
         host, port = self.gripper.address
         self.settings = HardwareSettings.model_validate(

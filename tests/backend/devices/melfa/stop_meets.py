@@ -35,14 +35,14 @@ def interrupted(rig: Rig, order: Callable[[], object], wanted: str | int) -> str
             pressed = True
             rig.arm.stop()
 
-    wires.ask, wires.finish = asked, finished  # type: ignore[method-assign]
+    wires.ask, wires.finish = asked, finished
     code = ""
     try:
         order()
     except FaultError as error:
         code = error.fault.code
     finally:
-        wires.ask, wires.finish = ask, finish  # type: ignore[method-assign]
+        wires.ask, wires.finish = ask, finish
     return code if pressed else None
 
 

@@ -1,0 +1,362 @@
+"""An arm over real sockets, brought into each of its states, and pressed STOP in it.
+
+Backend, rig process and wires are those of a lab day; when STOP came is told by the emulated
+controller, whose clock is this computer's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from socket import socket
+
+import numpy as np
+
+from backend.core.faults import Fault, FaultError, RefusedError
+from backend.core.flow import FloatArray, Pose
+from backend.devices.melfa.orders import Orders
+from backend.devices.protocols import DeviceState, PressCommand
+from backend.emulators.loads import hanging
+from backend.emulators.melfa import EmulatedMelfa, MelfaFront
+from backend.emulators.melfa_commands import EmulatedCommands
+from tests.backend.devices.waiting import until
+from tests.backend.rig.served import Backend, Served
+from tests.busy_computer import STARVED
+
+UP = Pose(0.0, 0.0, 150.0)
+ABOVE_MM, FLOOR_MM, GEL_N_MM = 60.0, 58.0, 5.0
+"""Where a press begins; where it meets something, and how stiff that is."""
+PRESS = PressCommand(1.5, 1.5, 20.0, 2.0, 1.0, 6.0, (30.0, 30.0, 15.0))
+SPEED_MM_S, JOINT_RAD_S = 10.0, 0.05
+SOON_S, LIMIT_S, NEVER_S, TRIES = 0.08, 20.0, 2.0, 10
+BRAKED_S, WATCHED_S, STILL_RAD, TROUBLED_S = 0.2, 0.1, 1e-4, 0.9
+LATE_S, SPLIT_S, LONG_BYTES = 2.0, 0.003, 300
+ALARM = 2601
+
+
+class TroubledFront(MelfaFront):
+    """Whose command channel, and nothing else, can be silent, late, split or too long."""
+
+    def __init__(self, device: EmulatedMelfa) -> None:
+        super().__init__(device)
+        self.trouble = ""
+        self._later: deque[tuple[float, socket, EmulatedCommands, bytes]] = deque()
+
+    def _reply(self, client: socket, session: EmulatedCommands, out: bytes) -> None:
+        now_s = self._clock.now_s()
+        while self._later and self._later[0][0] <= now_s:
+            _, to, of, piece = self._later.popleft()
+            if not of.gone:
+                super()._reply(to, of, piece)
+        if not out or self.trouble == "silent":
+            return
+        if self.trouble == "late":
+            self._later.append((now_s + LATE_S, client, session, out))
+        elif self.trouble == "split":
+            pieces = enumerate(out[k : k + 1] for k in range(len(out)))
+            self._later += [(now_s + SPLIT_S * k, client, session, one) for k, one in pieces]
+        else:
+            long = b"QoK" + b"7" * LONG_BYTES + b"\r"
+            super()._reply(client, session, long if self.trouble == "long" else out)
+
+
+class Bench:
+    """One arm, its wrist sensor and gripper; ``mode`` is the stiffness mode of the arm."""
+
+    def __init__(self, mode: str = "software", seed: int = 0) -> None:
+        self.served = Served(TroubledFront, self._felt, stiffness_mode=mode)
+        device = self.served.arm._device
+        self.front, self.controller = self.served.arm, device.controller
+        self._placing = Orders(self.served.settings.melfa).placing
+        self._start_rad = self.controller.joints.true_rad.copy()
+        self._joints, self._place_mm = self._start_rad, np.array([0.0, 0.0, ABOVE_MM])
+        self.controller.force_n = lambda: np.array([0.0, 0.0, self._push_n()])
+        self.backend = Backend(self.served.settings)
+        self.rng = random.Random(seed)
+        self._threads: list[threading.Thread] = []
+        self._steady = threading.Event()
+
+    def close(self) -> None:
+        """End everything."""
+        self.backend.close()
+        self.served.close()
+
+    def _felt(self, now_s: float) -> tuple[float, ...]:
+        x, y, z, *moments = hanging(now_s)
+        return (x, y, z + self._push_n(), *moments)
+
+    def _push_n(self) -> float:
+        joints: FloatArray | None = getattr(self, "controller", None) and (
+            self.controller.joints.true_rad
+        )
+        if joints is not None and joints is not self._joints:
+            self._joints, self._place_mm = joints, self._placing.pivot_mm(joints)
+        return max(0.0, GEL_N_MM * (FLOOR_MM - float(self._place_mm[2])))
+
+    # -- getting somewhere ------------------------------------------------------------------------
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+        self._steady.wait(seconds)
+
+    def aside(self, order: Callable[[], object], request: bytes = b"") -> None:
+        """Give an order on a thread of its own, how it ends is nobody's business.
+
+        Returns once the controller is asked ``request``, if one is given.
+        """
+
+        def give() -> None:
+            with contextlib.suppress(FaultError, RefusedError):
+                order()
+
+        begun_s, thread = time.monotonic(), threading.Thread(target=give, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+        while request and not self._asked(request, begun_s):
+            if not thread.is_alive() or time.monotonic() > begun_s + LIMIT_S:
+                raise FaultError(NOT_SEEN)
+            self._steady.wait(0.0005)
+
+    def _asked(self, request: bytes, since_s: float) -> bool:
+        newest = list(self.front.log)[-40:]
+        return any(e.incoming and e.t_s >= since_s and request in e.data for e in newest)
+
+    def renew(self) -> None:
+        """Hold a live lease."""
+        self.backend.interlock.renew_lease(self.backend.now_s())
+
+    def above(self) -> None:
+        """Be connected, and stand long enough for a press to know its air."""
+        self.backend.connect()
+        self.renew()
+        self.wait(0.3)
+
+    def recover(self) -> None:
+        """Be closed, with latch and error cleared, and the arm carried back to its start."""
+        self.front.trouble = ""
+        for thread in self._threads:
+            thread.join(LIMIT_S)
+        self._threads.clear()
+        with contextlib.suppress(FaultError):
+            self.backend.arm.close()
+        if self.backend.link.lost is not None:
+            self.backend.disconnect()
+        self.controller.reset_error()
+        joints = self.controller.joints
+        joints.command_rad = joints.filtered_rad = joints.true_rad = self._start_rad.copy()
+        self.backend.interlock.reset()
+        self.wait(0.03)
+
+    # -- STOP -------------------------------------------------------------------------------------
+
+    def stop(self) -> float:
+        """Press STOP and return when (monotonic)."""
+        pressed_s = time.monotonic()
+        self.backend.interlock.stop()
+        self.backend.arm.stop()
+        return pressed_s
+
+    def wire_s(self, pressed_s: float) -> float:
+        """Return how long STOP took to the controller; infinite if it never came."""
+        while time.monotonic() < pressed_s + NEVER_S:
+            came = [stop_s for stop_s in list(self.front.stops) if stop_s >= pressed_s]
+            if came:
+                return came[0] - pressed_s
+            self._steady.wait(0.001)
+        return float("inf")
+
+    def stands(self) -> bool:
+        """Whether the arm stands, after it has had time to brake, and no program presses."""
+        self.wait(BRAKED_S)
+        before = self.controller.joints.true_rad.copy()
+        self.wait(WATCHED_S)
+        moved = float(np.abs(self.controller.joints.true_rad - before).max())
+        return moved < STILL_RAD and self.controller.program != "probe"
+
+
+NOT_SEEN = Fault("NO-ANSWER", "The controller was not asked what was waited for.", "", "", "arm")
+
+
+@dataclass(frozen=True)
+class State:
+    """How to get there; ``mode`` is the stiffness mode; ``wired``: a wire is surely up."""
+
+    reach: Callable[[Bench], object]
+    mode: str = "software"
+    wired: bool = True
+
+
+def _connecting(request: bytes) -> State:
+    def reach(bench: Bench) -> None:
+        bench.backend.wrist.connect(10.0, threading.Event())
+        bench.aside(lambda: bench.backend.arm.connect(10.0, threading.Event()), request)
+
+    return State(reach)
+
+
+def _under_way(
+    begin: Callable[[Bench], object], for_s: float = 0.1, mode: str = "software"
+) -> State:
+    def reach(bench: Bench) -> None:
+        bench.above()
+        begin(bench)
+        bench.wait(for_s + bench.rng.uniform(0.0, SOON_S))
+
+    return State(reach, mode)
+
+
+def _asked(order: Callable[[Bench], object], request: bytes, mode: str = "software") -> State:
+    def reach(bench: Bench) -> None:
+        bench.above()
+        bench.aside(lambda: order(bench), request)
+
+    return State(reach, mode)
+
+
+def _press(bench: Bench) -> object:
+    return bench.backend.arm.press(PRESS)
+
+
+def _in_contact(bench: Bench) -> object:
+    motion = bench.backend.arm.press(PRESS)
+    end_s = time.monotonic() + LIMIT_S
+    while bench._push_n() < 2.0:
+        if motion.done or time.monotonic() > end_s:
+            motion.result()
+            raise FaultError(NOT_SEEN)
+        bench.renew()
+        bench.wait(0.002)
+    return motion
+
+
+def _unloading(bench: Bench) -> object:
+    _in_contact(bench)
+    bench.wait(1.0)
+    return bench.backend.arm.unload(0.5, 1.0)
+
+
+def _retreating(bench: Bench) -> None:
+    _in_contact(bench)
+    bench.backend.arm.retreat()
+
+
+def _faulted(bench: Bench) -> None:
+    bench.backend.arm.move_to(UP, SPEED_MM_S)
+    bench.wait(0.1)
+    bench.controller.raise_error(ALARM)
+    until(lambda: bench.backend.arm.state is DeviceState.FAULT, LIMIT_S)
+
+
+def _stopped(bench: Bench) -> None:
+    bench.backend.arm.move_to(UP, SPEED_MM_S)
+    bench.wire_s(bench.stop())
+    bench.wait(0.1)
+
+
+def _reset(bench: Bench) -> None:
+    _stopped(bench)
+    bench.backend.interlock.reset()
+
+
+def _after_a_stop(request: bytes) -> State:
+    def reach(bench: Bench) -> None:
+        bench.above()
+        _reset(bench)
+        bench.wait(0.05)
+        bench.renew()
+        bench.aside(lambda: bench.backend.arm.move_to(UP, SPEED_MM_S), request)
+
+    return State(reach)
+
+
+def _closing(bench: Bench) -> None:
+    bench.aside(bench.backend.arm.close)
+
+
+def _servo_off(bench: Bench) -> None:
+    bench.backend.arm.servo(False)
+
+
+def _servo_on(bench: Bench) -> None:
+    bench.backend.arm.servo(False)
+    bench.backend.arm.servo(True)
+
+
+START_UP = (
+    "1;OPEN=TOUCHDOWN\r",
+    "ERROR",
+    "PARMXTTOUT",
+    "CNTLON",
+    "OVRD=",
+    "SRVON",
+    "SLOTINIT",
+    "RUN",
+)
+JOINTS = (JOINT_RAD_S, 0.0, 0.0, 0.0, 0.0, 0.0)
+STATES: Mapping[str, State] = {
+    "closed": State(lambda bench: None, wired=False),
+    **{f"connecting: {one.strip('1;=')}": _connecting(one.encode()) for one in START_UP},
+    "connecting: first packets": _connecting(b"STATE"),
+    "ready": _under_way(lambda bench: None),
+    "switching off": _asked(_servo_off, b"SRVOFF"),
+    "servo off": _under_way(_servo_off),
+    "switching on": _asked(_servo_on, b"SRVON"),
+    "travelling": _under_way(lambda bench: bench.backend.arm.move_to(UP, SPEED_MM_S)),
+    "jogging": _under_way(lambda bench: bench.backend.arm.jog((0.0, 0.0, SPEED_MM_S), 2.0)),
+    "turning joints": _under_way(lambda bench: bench.backend.arm.jog_joints(JOINTS, 2.0)),
+    "press, on its way down": _under_way(_press),
+    "press, in contact": _under_way(_in_contact),
+    "unloading": _under_way(_unloading, 0.05),
+    "retreat": _under_way(_retreating, 0.0),
+    "force program, prepared": _asked(_press, b"MDKZ", "controller"),
+    "force program, begun": _asked(_press, b"RUNTDPROBE", "controller"),
+    "force program, on its way down": _under_way(_press, mode="controller"),
+    "force program, in contact": _under_way(_in_contact, mode="controller"),
+    "fault": _under_way(_faulted),
+    "stopped already": _under_way(_stopped),
+    "reset just now": _under_way(_reset, 0.0),
+    "stream opened again": _after_a_stop(b"SLOTINIT"),
+    "stream opened again, run": _after_a_stop(b"RUN"),
+    "disconnecting": _under_way(_closing, 0.0),
+}
+
+
+def _troubled(trouble: str) -> State:
+    def reach(bench: Bench) -> None:
+        bench.above()
+        bench.backend.arm.move_to(UP, SPEED_MM_S)
+        bench.front.trouble = trouble
+        bench.wait(bench.rng.uniform(0.1, TROUBLED_S))
+
+    return State(reach)
+
+
+TROUBLED: Mapping[str, State] = {
+    f"command channel {kind}": _troubled(kind) for kind in ("silent", "late", "split", "long")
+}
+
+
+def pressed_in(bench: Bench, name: str, state: State) -> tuple[float, list[str]]:
+    """Reach a state, press STOP; return s to the wire and what does not hold."""
+    for _ in range(TRIES):
+        try:
+            state.reach(bench)
+        except (FaultError, RefusedError) as error:
+            code = error.fault.code if isinstance(error, FaultError) else error.reason
+            if code not in STARVED | {"NO-ANSWER"}:
+                raise
+            bench.recover()
+        else:
+            break
+    else:
+        return float("inf"), [f"{name}: never reached"]
+    pressed_s = bench.stop()
+    took_s = bench.wire_s(pressed_s) if state.wired else 0.0
+    rows = {"goes on": bench.stands(), "not latched": bench.backend.interlock.latched}
+    bench.recover()
+    return took_s, [f"{name}: {what}" for what, holds in rows.items() if not holds]

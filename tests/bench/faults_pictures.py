@@ -1,21 +1,31 @@
 """Damaged pictures of real gels: which the driver refuses, which the tracker, what is left wrong.
 
 Limits: none of the lost packets accepted, no accepted picture with a marker over 2 px off, and of
-those between 0.2 and 2 px at most half of what two gates leave (docs/faults.md, C4).
+those between 0.2 and 2 px at most half of what two gates leave (docs/faults.md, C4). And which
+gels are refused at connection (C6).
 """
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import replace
+from functools import cache
+from itertools import islice, permutations
+from pathlib import Path
 
 import cv2
 import numpy as np
 
+from backend.calibration.gels import HELD_LIMIT_PX, apart_px
 from backend.config.hardware import GelsightSettings
+from backend.core.flow import FloatArray
 from backend.devices.cameras.gate import Gate
 from backend.sensing.checked import CheckedTracker
 from backend.sensing.pictures import read_pictures
+from backend.sensing.rest import look_at_rest
+from backend.simulation.gel_look import GelLook
 from tests.backend.devices.cameras.damage import GELSIGHT, KINDS, SCENES, outcomes
+from tests.backend.runs.gel_bench import LOOKS, Gel, GelBench
 from tests.bench.registry import Figure, figure
 
 MOST_OFF_PERCENT = {"cut off": 0.0, "one bit": 3.1, "64 bytes zeroed": 9.3, "1 KiB lost": 0.0}
@@ -23,6 +33,9 @@ COUNT = {False: 1000, True: 200}
 """Pictures of a kind at 320 x 240 px, and at native size, which takes 20 times as long."""
 CLIPS = (*(clip for clip, _ in SCENES), "artificial_strawberry_exp2_camera_0.avi")
 LIVE, NOISE_GREY = 10_000, 0.5
+CONNECTIONS = 100
+CREEP_PX, LIGHT = 1.5, (0.8, 1.2)
+REST_FILE = "nocontact_train_sensor.png"
 
 
 @figure("faults")
@@ -72,6 +85,67 @@ def _taken_for_frozen() -> Figure:
         gate.judge(0.04 * k, (still + noise).round().astype(np.uint8))
     name = f"live pictures taken for frozen, noise {NOISE_GREY} levels"
     return Figure(name, gate.invalid, "", "0", gate.invalid == 0, f"of {LIVE}")
+
+
+@figure("faults")
+def gels_at_connection() -> list[Figure]:
+    """Which gels are refused when the cameras are connected."""
+    rng = np.random.default_rng(6)
+    exchanged = other = wrongly = 0
+    both = {"tactile_left": "GEL-OTHER", "tactile_right": "GEL-OTHER"}
+    for number in range(CONNECTIONS):
+        with tempfile.TemporaryDirectory() as folder:
+            day = {f: Gel(look, 2 * number + (f == "left")) for f, look in LOOKS.items()}
+            bench = GelBench(Path(folder), day)
+            bench.calibrate()
+            bench.gels = {f: _another_day(look, rng) for f, look in LOOKS.items()}
+            wrongly += bench.connect() != {}
+            bench.gels = {"left": bench.gels["right"], "right": bench.gels["left"]}
+            exchanged += bench.connect() == both
+            bench.gels = {**day, "left": _another_day(_other(rng), rng)}
+            other += bench.connect() == {"tactile_left": "GEL-OTHER"}
+            bench.connection.close()
+    target, note = f"{CONNECTIONS}", f"of {CONNECTIONS}, in other light, crept by up to 1.5 px"
+    return [
+        Figure("gels exchanged, refused", exchanged, "", target, exchanged == CONNECTIONS, note),
+        Figure("other gel, refused", other, "", target, other == CONNECTIONS, note),
+        Figure("the same gels, refused", wrongly, "", "0", wrongly == 0, note),
+        *_real_gels(),
+    ]
+
+
+def _another_day(look: GelLook, rng: np.random.Generator) -> Gel:
+    turn = rng.uniform(0.0, 2.0 * np.pi)
+    creep_px = rng.uniform(0.0, CREEP_PX) * np.array([np.cos(turn), np.sin(turn)])
+    return Gel(look, int(rng.integers(1 << 30)), creep_px, float(rng.uniform(*LIGHT)))
+
+
+def _other(rng: np.random.Generator) -> GelLook:
+    """Return a gel whose dots lie as far from the left one's as those of two real sensors do."""
+    apart_px = _rest_px(CLIPS[int(rng.integers(len(CLIPS)))]) - _rest_px(REST_FILE)
+    return replace(LOOKS["left"], rest_px=LOOKS["left"].rest_px + apart_px)
+
+
+@cache
+def _rest_px(name: str) -> FloatArray:
+    return look_at_rest(list(islice(read_pictures(GELSIGHT / name), 10))).position_px
+
+
+def _real_gels() -> list[Figure]:
+    """Five days of one real gel, always with a piece in hand, and another one at rest."""
+    same = [apart_px(_rest_px(a), _rest_px(b)) for a, b in permutations(CLIPS, 2)]
+    other = [apart_px(_rest_px(a), _rest_px(REST_FILE)) for a in CLIPS]
+    worst, nearest = max(same), min(other)
+    return [
+        Figure(
+            "one real gel on five days, holding pieces: farthest apart", worst, "px",
+            f"< {HELD_LIMIT_PX:g}", worst < HELD_LIMIT_PX, f"rms, of {len(same)} pairs",
+        ),
+        Figure(
+            "another real gel: nearest", nearest, "px",
+            f">= {HELD_LIMIT_PX:g}", nearest >= HELD_LIMIT_PX, f"rms, of {len(other)} pairs",
+        ),
+    ]  # fmt: skip
 
 
 assert set(KINDS) == set(MOST_OFF_PERCENT)

@@ -13,7 +13,8 @@ from PySide6.QtCore import QEvent, QObject, QPoint, QPointF, Qt, QTimer
 from PySide6.QtGui import QGuiApplication, QKeyEvent, QMouseEvent, QTouchEvent, QWindow
 from PySide6.QtWidgets import QApplication, QPushButton, QSizePolicy, QWidget
 
-RENEW_MS = 100
+RENEW_MS = 50
+"""Half of what a lease needs: a window that is late for a moment must not make the arm falter."""
 SLACK_PX = 20
 """The pointer may leave the button by so much."""
 LEAST_PX = 44
@@ -28,7 +29,7 @@ _WINDOW_LOST = frozenset({QEvent.Type.WindowDeactivate, QEvent.Type.WindowBlocke
 class Hold(QObject):
     """At most one hold at a time, shared by the buttons and keys of one pad.
 
-    ``renew`` is called at once and then every 100 ms with what is held and returns whether it may
+    ``renew`` is called at once and then every 50 ms with what is held and returns whether it may
     go on; ``ended`` once with the cause.
     """
 

@@ -2,8 +2,8 @@
 
 A renewal is taken only if its number is greater than the last and it is younger than the lease.
 There is no queue: a newer renewal replaces the older. ``tick`` runs on the bench's own time and
-ends the motion when the lease is over, whatever became of the window; behind it the arm stops by
-itself after ``REPEAT_S``.
+tells the arm to move for ``REPEAT_S`` at a time, and never for so long that it would still brake
+when the lease is over: it stands by then, whatever became of the window or of ``tick``.
 """
 
 from __future__ import annotations
@@ -29,11 +29,15 @@ from backend.devices.jog_axes import (
 )
 from backend.devices.jog_permit import POSE_AGE_S, REPEAT_S, Around, Permit, left_words
 from backend.devices.protocols import STILL, Motion, RobotMode
+from backend.devices.streamed.programs import ACCELERATION_MM_S2
+from backend.devices.streamed.turning import ACCELERATION_RAD_S2
 
 __all__ = ["STEPS_DEG", "STEPS_MM", "Around", "Jog", "JogOrder", "JogState"]
 
 STEPS_MM = (0.1, 0.5, 1.0, 5.0)
 STEPS_DEG = (0.5, 1.0, 5.0)
+SETTLE_S = 0.03
+"""From a command to the arm that stands: the wires, and the lag of its servos."""
 LATE_S = 0.1
 """A bench that is not served for so long has no computer to itself."""
 
@@ -175,7 +179,9 @@ class Jog:
             self._refuse_failed()
             speed, slow = self._permit.speed(order.axis, order.frame, order.speed)
             self._interlock.renew_lease(self._around.now_s())
-            self._held = self._driven(order, speed)
+            for_s = min(REPEAT_S, LEASE_S - silent_s - _braking_s(order.axis, speed))
+            if for_s > 0.0:
+                self._held = self._driven(order, speed, for_s)
             self.state = JogState(order, speed, slow)
         except (RefusedError, FaultError) as error:
             self.end(order.hold)
@@ -194,14 +200,14 @@ class Jog:
             self._order = self._step = self._held = None
         self.state = JogState()
 
-    def _driven(self, order: JogOrder, speed: float) -> Motion:
+    def _driven(self, order: JogOrder, speed: float, for_s: float) -> Motion:
         signed = speed if order.speed > 0 else -speed
         if order.axis in JOINTS:
-            return self._arm.jog_joints(joint_speeds(order.axis, signed), REPEAT_S)
+            return self._arm.jog_joints(joint_speeds(order.axis, signed), for_s)
         x, y, z = (part * speed for part in self._permit.way(order.axis, order.frame, order.speed))
         if turns(order.axis):
-            return self._arm.jog(STILL, REPEAT_S, (x, y, z))
-        return self._arm.jog((x, y, z), REPEAT_S)
+            return self._arm.jog(STILL, for_s, (x, y, z))
+        return self._arm.jog((x, y, z), for_s)
 
     def _stepped(self, going: _Going, speed: float) -> Motion:
         arm, here, size = self._arm, self._permit.here(), abs(going.signed)
@@ -276,6 +282,12 @@ class _Going:
     axis: Axis
     frame: Frame
     signed: float
+
+
+def _braking_s(axis: Axis, speed: float) -> float:
+    """Return how long an arm whose order has ended still moves."""
+    acceleration = ACCELERATION_RAD_S2 if turns(axis) else ACCELERATION_MM_S2
+    return speed / acceleration + SETTLE_S
 
 
 def _silence_words(silent_s: float, late_s: float) -> str:

@@ -47,6 +47,8 @@ MODULES: tuple[str, ...] = (
     "tests.bench.fault_data",
     "tests.bench.fault_workers",
     "tests.bench.fault_raising",
+    "tests.bench.fault_lease",
+    "tests.bench.fault_blocked_camera",
     "tests.bench.wired_parts",
 )
 """Modules that register figures, in the order of the table."""

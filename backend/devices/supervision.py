@@ -137,6 +137,11 @@ class Supervision:
                     )
                 )
 
+    def _is_explained(self, device: str) -> bool:
+        """Whether a camera has told why no picture of it is used: silence is no second cause."""
+        told = {fault.device for fault in self._interlock.faults}
+        return device.startswith("tactile_") and device in told
+
     def _check_ages(self, now_s: float) -> None:
         limits, late = self._interlock.limits, list[Degraded]()
         ages = [("force_torque", self._finite_s, limits.wrench_age_s)]
@@ -155,7 +160,7 @@ class Supervision:
                 late.append(Degraded(device, "slow", slow_s))
             elif now_s - last_s > LATE_SHARE[device] * limit_s:
                 late.append(Degraded(device, "silent", last_s))
-            if now_s - last_s > limit_s:
+            if now_s - last_s > limit_s and not self._is_explained(device):
                 self._interlock.raise_fault(_stale(device, now_s - last_s))
         late.extend(self._check_grip(now_s))
         self._show(tuple(late), now_s)

@@ -31,11 +31,14 @@ its end is missing; duplicate: sent twice; late: sent ``by_s`` later; silent: no
 wire stays; unplug: the wire is gone and comes back at the end of the fault."""
 DATAGRAM_KINDS = ("reorder",)
 """Two datagrams change places."""
+CAMERA_KINDS = ("freeze", "dark", "slow", "fade", "other_gel", "small_dots")
+"""fade: the lamps lose half of their light each second; other_gel, small_dots: another gel is
+fitted, of the same kind or of the kind with 8 x 10 dots."""
 DEVICE_KINDS: dict[str, tuple[str, ...]] = {
     "force_torque": ("freeze", "saturate", "slow", "drift"),
     "gripper": ("part_lost", "fast_stop", "power"),
-    "tactile_left": ("freeze", "dark", "slow"),
-    "tactile_right": ("freeze", "dark", "slow"),
+    "tactile_left": CAMERA_KINDS,
+    "tactile_right": CAMERA_KINDS,
     "arm": ("alarm", "estop", "servo_off"),
 }
 """What only one kind of device can suffer from. slow: takes ``hz`` samples a second at most; drift:

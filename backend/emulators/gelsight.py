@@ -19,13 +19,15 @@ from backend.core.clock import Clock
 from backend.core.flow import ImageArray
 from backend.emulators.faults import Faults
 from backend.emulators.front import Front
-from backend.emulators.gel_pictures import Pictures
+from backend.emulators.gel_pictures import Pictures, other_gel, small_dots
 from backend.simulation.disturbances import Thinned
 
 RATE_HZ = 25.0
 QUALITY = 95
-DARKENING = 16
+DARKENING, HALVED = 16, 0.5
 SERIAL = "2D8Y-69GR"
+GELS = {"other_gel": other_gel, "small_dots": small_dots}
+"""What a fault of this kind fits in place of the gel."""
 IDLE_S = 0.01
 
 
@@ -47,6 +49,7 @@ class GelsightFront(Front):
         self._period_s = 1.0 / rate_hz
         self._last: bytes | None = None
         self._thinned = Thinned()
+        self._light, self._seen_s = 1.0, 0.0
         for part in ("by-id", "names", "nodes"):
             (folder / part).mkdir(parents=True, exist_ok=True)
         self._node = self._plug()
@@ -132,8 +135,19 @@ class GelsightFront(Front):
             return self._last
         if self.faults.active("dark", now_s):
             picture = np.asarray(picture // DARKENING, dtype=np.uint8)
+        picture = self._changed(picture, now_s)
         self._last = encode(picture)
         return self._last
+
+    def _changed(self, picture: ImageArray, now_s: float) -> ImageArray:
+        """Return the picture in the light that is left, of the gel that is fitted."""
+        for kind, fitted in GELS.items():
+            if self.faults.active(kind, now_s):
+                picture = fitted(picture)
+        fading = self.faults.active("fade", now_s)
+        self._light = self._light * HALVED ** (now_s - self._seen_s) if fading else 1.0
+        self._seen_s = now_s
+        return np.asarray(picture * self._light, dtype=np.uint8) if fading else picture
 
     def _write(self, out: bytes) -> None:
         """Write one picture while somebody reads; what nobody takes in time is lost."""

@@ -10,7 +10,13 @@ import numpy as np
 from backend.config.method import SAMPLES_PER_PROBE, TICK_S
 from backend.core.flow import FINGERS, MARKERS, Episode, EpisodeQuality, FloatArray, Recording
 from backend.sensing.press_slip import press_slip_mm
-from backend.sensing.synchroniser import FingerTicks, Synchronised, SyncLimits, synchronise
+from backend.sensing.synchroniser import (
+    ROUNDING_S,
+    FingerTicks,
+    Synchronised,
+    SyncLimits,
+    synchronise,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +109,7 @@ def _frame_reasons(name: str, finger: FingerTicks, limits: EpisodeLimits) -> lis
     near = int(finger.near.sum())
     if not near >= limits.least_ticks:
         reasons.append(f"The {name} camera has a frame at {near} of {SAMPLES_PER_PROBE} ticks only")
-    if not finger.hole_s <= limits.longest_hole_s:
+    if not finger.hole_s <= limits.longest_hole_s + ROUNDING_S:
         reasons.append(f"The {name} camera gave no frame for {1e3 * finger.hole_s:.0f} ms")
     missing = int((~np.isfinite(finger.displacement_px).all(axis=(1, 2))).sum())
     if missing and not reasons:

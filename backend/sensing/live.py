@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from backend.core.faults import RefusedError
 from backend.core.flow import (
     FINGERS,
     WRENCH_CHANNELS,
@@ -100,12 +101,16 @@ class LiveSensing:
         """Take the tactile reference of both fingers from the newest ``count`` fields each.
 
         The first ones, in air right after gripping, are the shape that all later ones must have:
-        a piece that touches something is refused (``RefusedError``).
+        a piece that touches something is refused (``RefusedError``), and so is a gel of another
+        grid, which is named.
         """
         taken: dict[Finger, Reference] = {}
         for finger in FINGERS:
             stream = self.fields[finger]
             newest, _, _ = stream.since(stream.count - count)
+            grid = self._trackers[finger].tracker.grid
+            if newest and newest[-1].quality == 0.0 and grid.rows and not grid.usable:
+                raise RefusedError("grid", f"{finger}: {grid.message}.")
             taken[finger] = take_reference(newest, self._in_air.get(finger))
         self._in_air = self._in_air or taken
         for finger, reference in taken.items():

@@ -1,8 +1,8 @@
 """Damaged pictures of real gels: which the driver refuses, which the tracker, what is left wrong.
 
 Limits: none of the lost packets accepted, no accepted picture with a marker over 2 px off, and of
-those between 0.2 and 2 px at most half of what two gates leave (docs/faults.md, C4). And which
-gels are refused at connection (C6).
+those between 0.2 and 2 px at most half of what two gates leave (docs/faults.md, C4). Then what
+becomes of dropped ones (C5), and which gels are refused at connection (C6).
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ from backend.sensing.rest import look_at_rest
 from backend.simulation.gel_look import GelLook
 from tests.backend.devices.cameras.damage import GELSIGHT, KINDS, SCENES, outcomes
 from tests.backend.runs.gel_bench import LOOKS, Gel, GelBench
+from tests.backend.sensing.drop_oracle import broken
+from tests.backend.sensing.test_episode_quality import frames, record
 from tests.bench.registry import Figure, figure
 
 MOST_OFF_PERCENT = {"cut off": 0.0, "one bit": 3.1, "64 bytes zeroed": 9.3, "1 KiB lost": 0.0}
@@ -33,7 +35,7 @@ COUNT = {False: 1000, True: 200}
 """Pictures of a kind at 320 x 240 px, and at native size, which takes 20 times as long."""
 CLIPS = (*(clip for clip, _ in SCENES), "artificial_strawberry_exp2_camera_0.avi")
 LIVE, NOISE_GREY = 10_000, 0.5
-CONNECTIONS = 100
+CONNECTIONS, PATTERNS = 100, 500
 CREEP_PX, LIGHT = 1.5, (0.8, 1.2)
 REST_FILE = "nocontact_train_sensor.png"
 
@@ -85,6 +87,17 @@ def _taken_for_frozen() -> Figure:
         gate.judge(0.04 * k, (still + noise).round().astype(np.uint8))
     name = f"live pictures taken for frozen, noise {NOISE_GREY} levels"
     return Figure(name, gate.invalid, "", "0", gate.invalid == 0, f"of {LIVE}")
+
+
+@figure("faults")
+def dropped_frames() -> list[Figure]:
+    """Episodes with dropped frames, against an oracle."""
+    wrong, accepted = broken(PATTERNS, record(frames()))
+    note = f"of {PATTERNS}; {accepted} accepted; 10 %, 30 %, bursts of 0.5 s and shorter ones"
+    if wrong:
+        note += f"; first: {wrong[0]}"
+    name = "dropped frames: verdict, value or mark other than the oracle's"
+    return [Figure(name, len(wrong), "", "0", not wrong, note)]
 
 
 @figure("faults")

@@ -14,7 +14,9 @@ from backend.wire.mjpeg import tables
 
 EQUAL_INVALID, EQUAL_FAULT = 3, 10
 """So many equal pictures in a row are no measurement; so many mean that the camera hangs."""
-DARK_S = 3.0
+DARK_S, DARK_FAULT = 3.0, 5
+"""So long a camera may be dark after it was switched on; so many dark pictures in a row are a fault
+once it was bright."""
 MOST_HEADERS = 64
 
 
@@ -31,6 +33,7 @@ class Gate:
         self._last: bytes = b""
         self._equal = 0
         self._lit = False
+        self._dark = 0
         self._headers: dict[bytes, None] = {}
         self.invalid = 0
         self.fault: Fault | None = None
@@ -47,11 +50,14 @@ class Gate:
         if image is None:
             self.invalid += 1
             return None
-        self._lit = self._lit or float(np.mean(image)) >= self._settings.darkest_mean
-        if self._lit:
+        if float(np.mean(image)) >= self._settings.darkest_mean:
+            self._lit, self._dark = True, 0
             return image
-        if t_s - self._begun_s > DARK_S:
+        self._dark += 1
+        late = self._dark >= DARK_FAULT if self._lit else t_s - self._begun_s > DARK_S
+        if late:
             self.fault = dark_fault(self._name)
+        self.invalid += self._lit
         return None
 
     def _image(self, content: bytes | ImageArray) -> ImageArray | None:

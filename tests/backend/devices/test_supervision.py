@@ -7,6 +7,7 @@ import pytest
 
 from backend.core.flow import FINGERS, TactileFrame
 from backend.core.stream import SampleStream, Stream
+from backend.devices.cameras.faults import dark_fault
 from backend.devices.degraded import Degraded, Rate
 from backend.devices.interlock import Interlock
 from backend.devices.protocols import DeviceState, GripStatus, Health
@@ -54,6 +55,15 @@ def test_healthy_sensors_raise_nothing() -> None:
     bench = Watched()
     bench.run(5.0, 8.0)
     assert not bench.interlock.latched
+
+
+def test_a_camera_that_told_why_it_gives_no_picture_is_not_called_silent_too() -> None:
+    bench = Watched()
+    bench.run(2.0)
+    bench.run(0.3, silent="left")
+    bench.interlock.raise_fault(dark_fault("tactile_left"))
+    bench.run(1.0, silent="left")
+    assert bench.codes() == [("CAMERA-DARK", "tactile_left")]
 
 
 @pytest.mark.parametrize("finger", FINGERS)

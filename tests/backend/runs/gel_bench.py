@@ -34,12 +34,14 @@ SCALES = ("left_u_mm_px", "left_v_mm_px", "right_u_mm_px", "right_v_mm_px")
 
 
 class Gel:
-    """A gel under a camera: three pictures in turn, with a whole creep (2,) and ``light``."""
+    """A gel under a camera: three pictures in turn, with a whole creep (2,) and ``light``;
+    ``fitted`` makes another gel of it."""
 
-    def __init__(self, look, seed: int, creep_px=(0.0, 0.0), light: float = 1.0) -> None:
+    def __init__(self, look, seed: int, creep_px=(0.0, 0.0), light=1.0, fitted=np.asarray) -> None:
         self.look, optics = look, FingerOptics(look, seed)
         moved_px = np.tile(creep_px, (MARKERS, 1))
-        levels = [light * optics.render(moved_px, NOBODY).astype(np.float64) for _ in range(3)]
+        shown = [fitted(optics.render(moved_px, NOBODY)) for _ in range(3)]
+        levels = [light * one.astype(np.float64) for one in shown]
         self._sent = [encode(np.clip(one, 0, 255).astype(np.uint8)) for one in levels]
 
     @cache  # noqa: B019

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from backend.emulators.gel_pictures import other_gel, small_dots
 from tests.backend.runs.gel_bench import LOOKS, Gel, GelBench
 
 FINE = {finger: Gel(look, 3 + seed) for seed, (finger, look) in enumerate(LOOKS.items())}
@@ -45,7 +46,7 @@ def test_gels_that_changed_places_are_refused_and_whose_they_are_is_said(bench):
 
 
 def test_one_other_gel_or_one_turned_round_is_refused_and_the_other_camera_stays(bench):
-    bench.gels = {**FINE, "left": drawn(LEFT.rest_px * [1.0, 0.97] + [0.0, 4.0])}
+    bench.gels = {**FINE, "left": Gel(LEFT, 5, fitted=other_gel)}
     found = bench.faults()
     assert list(found) == ["tactile_left"]
     assert "exchanged" in found["tactile_left"].next_step
@@ -74,9 +75,8 @@ def test_a_calibration_without_a_fingerprint_stays_valid_and_says_so(tmp_path):
 
 
 def test_a_camera_without_pictures_and_one_of_another_grid_are_named(bench):
-    places = np.stack(np.meshgrid(16 + 36 * np.arange(9), 12 + 48 * np.arange(7)), axis=-1)
-    bench.gels = {"right": drawn(places)}
+    bench.gels = {"right": Gel(LOOKS["right"], 6, fitted=small_dots)}
     found = bench.faults()
     assert found["tactile_left"].code == "GEL-UNSEEN"
     assert found["tactile_right"].code == "GEL-GRID"
-    assert "expected 7 x 9" in found["tactile_right"].what
+    assert "8x10 small-dot gel" in found["tactile_right"].what

@@ -15,6 +15,7 @@ from backend.core.facts import Fact, PhaseEntered
 from backend.core.faults import InputError, RefusedError
 from backend.core.flow import FINGERS, TactileFrame
 from backend.core.stream import SampleStream, Stream
+from backend.emulators.gel_pictures import small_dots
 from backend.runs.requests import StackRequest
 from backend.sensing.live import LiveSensing, RawStreams
 from backend.sensing.pictures import read_pictures
@@ -116,3 +117,20 @@ def test_the_loop_refuses_a_later_reference_in_contact() -> None:
     np.testing.assert_allclose(newest.displacement_px, moved, atol=1e-9)
     show(4.0, 2.0, *[0.0] * 5)
     sensing.take_references(5)
+
+
+def test_a_reference_of_a_gel_with_another_grid_is_refused_and_names_it() -> None:
+    frames = {finger: Stream[TactileFrame](finger, 64) for finger in FINGERS}
+    fields = {finger: Stream(finger, 64) for finger in FINGERS}
+    raw = RawStreams(frames, SampleStream("ft", 6, 10), SampleStream("arm", 3, 10))
+    sensing = LiveSensing(raw, fields, SampleStream("wrench", 6, 10), np.zeros(6))
+    image, _ = rest_dots()
+    for k in range(3):
+        for finger in FINGERS:
+            shown = small_dots(image) if finger == "right" else image
+            frames[finger].put(k / 25, TactileFrame(finger, k, k / 25, shown))
+    sensing.update()
+    with pytest.raises(RefusedError, match="right: 8x10 small-dot gel") as refused:
+        sensing.take_references(3)
+    assert refused.value.reason == "grid"
+    assert sensing.references == {}

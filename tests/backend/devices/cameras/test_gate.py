@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from backend.config.hardware import GelsightSettings
-from backend.devices.cameras.gate import EQUAL_FAULT, EQUAL_INVALID, Gate
+from backend.devices.cameras.gate import DARK_FAULT, EQUAL_FAULT, EQUAL_INVALID, Gate
 
 SETTINGS = GelsightSettings(crop_fraction=0.0)
 STILL = np.full((240, 320, 3), 90, dtype=np.uint8)
@@ -35,6 +35,17 @@ def test_a_still_gel_with_half_a_grey_level_of_noise_is_never_taken_for_frozen()
         picture = (small + NOISE_GREY * noise).round().astype(np.uint8)
         assert judge.judge(0.04 * k, picture) is not None
     assert judge.invalid == 0
+
+
+def test_lamps_that_fade_are_a_fault_of_their_own_and_one_dark_picture_is_none():
+    judge, told = gate(), []
+    for k, level in enumerate([90, 8, 90, *[9 + k % 2 for k in range(8)], 90]):
+        image = judge.judge(0.04 * k, np.full_like(STILL, level))
+        told.append((image is not None, judge.fault and judge.fault.code))
+    assert [good for good, _ in told] == [True, False, True, *[False] * 8, True]
+    dark = [k for k, (_, code) in enumerate(told) if code == "CAMERA-DARK"]
+    assert dark == list(range(2 + DARK_FAULT, 11))
+    assert judge.invalid == 9
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\xd8\xff\xd9", STILL.tobytes()[:1000]])

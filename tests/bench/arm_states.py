@@ -75,7 +75,7 @@ class Bench:
         self._placing = Orders(self.served.settings.melfa).placing
         self._start_rad = self.controller.joints.true_rad.copy()
         self._joints, self._place_mm = self._start_rad, np.array([0.0, 0.0, ABOVE_MM])
-        self.controller.force_n = lambda: np.array([0.0, 0.0, self._push_n()])
+        self.controller.force_n = lambda: np.array([0.0, 0.0, self.push_n()])
         self.backend = Backend(self.served.settings)
         self.rng = random.Random(seed)
         self._threads: list[threading.Thread] = []
@@ -88,9 +88,15 @@ class Bench:
 
     def _felt(self, now_s: float) -> tuple[float, ...]:
         x, y, z, *moments = hanging(now_s)
-        return (x, y, z + self._push_n(), *moments)
+        return (x, y, z + self.push_n(), *moments)
 
-    def _push_n(self) -> float:
+    def height_mm(self) -> float:
+        """Return where ``G`` truly is."""
+        self.push_n()
+        return float(self._place_mm[2])
+
+    def push_n(self) -> float:
+        """Return what presses on the arm from below."""
         joints: FloatArray | None = getattr(self, "controller", None) and (
             self.controller.joints.true_rad
         )
@@ -222,10 +228,11 @@ def _press(bench: Bench) -> object:
     return bench.backend.arm.press(PRESS)
 
 
-def _in_contact(bench: Bench) -> object:
+def in_contact(bench: Bench) -> object:
+    """Press until the hand is pushed by 2 N; raises what ends it before."""
     motion = bench.backend.arm.press(PRESS)
     end_s = time.monotonic() + LIMIT_S
-    while bench._push_n() < 2.0:
+    while bench.push_n() < 2.0:
         if motion.done or time.monotonic() > end_s:
             motion.result()
             raise FaultError(NOT_SEEN)
@@ -235,13 +242,13 @@ def _in_contact(bench: Bench) -> object:
 
 
 def _unloading(bench: Bench) -> object:
-    _in_contact(bench)
+    in_contact(bench)
     bench.wait(1.0)
     return bench.backend.arm.unload(0.5, 1.0)
 
 
 def _retreating(bench: Bench) -> None:
-    _in_contact(bench)
+    in_contact(bench)
     bench.backend.arm.retreat()
 
 
@@ -310,13 +317,13 @@ STATES: Mapping[str, State] = {
     "jogging": _under_way(lambda bench: bench.backend.arm.jog((0.0, 0.0, SPEED_MM_S), 2.0)),
     "turning joints": _under_way(lambda bench: bench.backend.arm.jog_joints(JOINTS, 2.0)),
     "press, on its way down": _under_way(_press),
-    "press, in contact": _under_way(_in_contact),
+    "press, in contact": _under_way(in_contact),
     "unloading": _under_way(_unloading, 0.05),
     "retreat": _under_way(_retreating, 0.0),
     "force program, prepared": _asked(_press, b"MDKZ", "controller"),
     "force program, begun": _asked(_press, b"RUNTDPROBE", "controller"),
     "force program, on its way down": _under_way(_press, mode="controller"),
-    "force program, in contact": _under_way(_in_contact, mode="controller"),
+    "force program, in contact": _under_way(in_contact, mode="controller"),
     "fault": _under_way(_faulted),
     "stopped already": _under_way(_stopped),
     "reset just now": _under_way(_reset, 0.0),

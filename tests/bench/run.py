@@ -43,6 +43,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.faults_wired",
     "tests.bench.fault_streams",
     "tests.bench.fault_arm",
+    "tests.bench.fault_plugs",
     "tests.bench.fault_controller",
     "tests.bench.fault_data",
     "tests.bench.fault_workers",

@@ -26,6 +26,8 @@ TAKE_S = 0.1
 JOIN_S = 1.0
 STALE_S = 0.12
 RATE_WINDOW_S = 1.0
+GONE_S = 0.045
+"""So long without a valid picture, a camera whose device has left the system was unplugged."""
 RETRY_S = (0.5, 1.0, 1.5)
 Captured: TypeAlias = tuple[float, int, bytes | ImageArray]
 
@@ -164,6 +166,7 @@ class TactileCamera:
             try:
                 path = self.find()
                 self.steps.reached("identify")
+                node = path.resolve()
                 source = self._open_camera(path, self._settings)
                 self.steps.reached("configure")
             except (OSError, FaultError) as error:
@@ -174,7 +177,7 @@ class TactileCamera:
                 continue
             self._facts = source.facts
             try:
-                self._read(source, stop)
+                self._read(source, node, stop)
             except OSError as error:
                 self._fail(link_fault(self.name, f"The camera is lost: {error}."))
             finally:
@@ -182,9 +185,13 @@ class TactileCamera:
             self.reopened += not stop.is_set()
             tries = 0
 
-    def _read(self, source: Source, stop: threading.Event) -> None:
-        """Read until told to stop or the camera falls silent; numbers go on over a replug."""
-        heard_s, damaged = self._now_s(), self._damaged
+    def _read(self, source: Source, node: Path, stop: threading.Event) -> None:
+        """Read until told to stop, or until the camera falls silent or its ``node`` is gone.
+
+        Numbers go on over a replug.
+        """
+        begun_s = heard_s = self._now_s()
+        damaged = self._damaged
         while not stop.is_set():
             content = source.read(READ_S)
             now_s, self._damaged = self._now_s(), damaged + source.lost
@@ -194,6 +201,10 @@ class TactileCamera:
                 self._sequence += 1
             elif now_s - heard_s > self._settings.silence_s:
                 raise OSError(f"no picture for {now_s - heard_s:.1f} s")
+            # What is read of a camera that is gone may be called a picture.
+            shown_s = max(begun_s, self._arrivals[-1] if self._arrivals else begun_s)
+            if self._given is None and now_s - shown_s > GONE_S and not node.exists():
+                raise OSError("it was unplugged")
 
     def _deliver(self, stop: threading.Event) -> None:
         """Take what was read until told to stop."""

@@ -16,6 +16,7 @@ from backend.core.stream import SampleStream
 from backend.devices.interlock import Interlock
 from backend.devices.melfa.orders import Orders
 from backend.emulators.dynpick import EmulatedDynpick
+from backend.emulators.faults import Faults
 from backend.emulators.front import TcpFront
 from backend.emulators.loads import hanging, noisy
 from backend.emulators.melfa import EmulatedMelfa, MelfaFront
@@ -40,7 +41,8 @@ class Served:
         wanted = melfa_settings(servo_delay_s=0.05, mxt={"mxttout": 2000}, **more)
         start = Orders(wanted).placing.joints(np.array([0.0, 0.0, 60.0]), READY_RAD)
         self.arm = serve(EmulatedMelfa(wanted, start_rad=start))
-        self.wrist = TcpFront(EmulatedDynpick(noisy(feel)))
+        sensor = EmulatedDynpick(noisy(feel))
+        self.wrist = TcpFront(sensor, faults=Faults("force_torque"))
         self.gripper = TcpFront(EmulatedWsg())
         host, port = self.gripper.address
         self.settings = HardwareSettings.model_validate(

@@ -110,6 +110,36 @@ def test_a_replugged_camera_is_found_on_its_new_node_and_no_other_taken(cameras)
     assert all(40 <= frame.image.mean() <= 80 for frame in more(cameras.driver, 3))
 
 
+class Pulled:
+    """Gives the picture it had last for ever, once its file is gone."""
+
+    def __init__(self, path):
+        self.facts, self.lost = {}, 0
+        self._path, self._number = path, 0
+
+    def read(self, limit_s):
+        threading.Event().wait(0.005)
+        self._number += self._path.exists()
+        return np.full((240, 320, 3), 60 + self._number % 60, np.uint8)
+
+    def close(self):
+        pass
+
+
+def test_a_camera_that_is_gone_is_given_up_though_pictures_can_still_be_read(tmp_path):
+    path = tmp_path / "video8"
+    path.touch()
+    settings = GelsightSettings.model_validate({"left": {"file": str(path)}, "crop_fraction": 0.0})
+    driver = TactileCamera("left", settings, time.monotonic, open_camera=lambda *_: Pulled(path))
+    try:
+        driver.connect(60.0, threading.Event())
+        path.unlink()
+        until(lambda: driver.reopened)
+        assert driver.health.lost > 0
+    finally:
+        driver.close()
+
+
 def test_a_frozen_picture_is_not_delivered_and_soon_a_fault(cameras):
     cameras.connect()
     cameras.fronts["left"].inject("freeze")

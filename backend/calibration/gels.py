@@ -1,6 +1,6 @@
 """The fingerprint of a gel: where its 63 dots rest, by which the same gel is known again.
 
-Places are those of the raw picture, whatever the settings mirror. Of real gels, five days of one
+Places are those of the raw picture, whatever the settings mirror. Of real gels, five recordings of one
 sensor lie 0.6 to 1.5 px (rms) apart although they hold a piece, two sensors 5.2 px and more.
 """
 

@@ -14,6 +14,7 @@ from backend.core.faults import Fault, FaultError
 from backend.core.flow import FINGERS, Finger, FloatArray, TactileFrame
 from backend.core.stream import Stream
 from backend.devices.protocols import Device, DeviceState, Gripper
+from backend.rig.connection import fault_of
 from backend.runs.calibrated import device_names
 from backend.sensing.reference import FRAMES, MOTION_FACTOR, NOISE_FLOOR_PX
 from backend.sensing.rest import Rest, look_at_rest
@@ -44,8 +45,9 @@ class GelCheck:
     def prove(self, name: str, cancel: threading.Event) -> None:
         """Raise ``FaultError`` if ``name`` is a camera with another gel than was calibrated.
 
-        The faults: GEL-UNSEEN (too few pictures), GEL-GRID (no grid of 7 x 9), GEL-MOVES, and
-        GEL-OTHER, which names whose gel it is where that is known. Other devices pass.
+        The faults: its own, or GEL-UNSEEN (too few pictures), GEL-GRID (no grid of 7 x 9),
+        GEL-MOVES, and GEL-OTHER, which names whose gel it is where that is known. Other devices
+        pass.
         """
         finger = next((finger for finger in FINGERS if name == f"tactile_{finger}"), None)
         if finger is None:
@@ -54,7 +56,8 @@ class GelCheck:
         if cancel.is_set():
             return
         if len(frames) < FEWEST:
-            raise _fault("GEL-UNSEEN", name, "Its pictures come too seldom.", "Look at its cable.")
+            told = fault_of(self._devices[name])
+            raise _unseen(name) if told is None else FaultError(told)
         seen = look_at_rest(frames)
         if not seen.grid.usable:
             what = f"{seen.grid.message[:1].upper()}{seen.grid.message[1:]}."
@@ -117,6 +120,10 @@ def _next_step(name: str, owner: str, mirror: str) -> str:
     if owner:
         return f"The picture is mirrored in {AXES[mirror]}: look at the settings. {AGAIN}"
     return f"Have gels or sensors been exchanged? Put the right one back. {AGAIN}"
+
+
+def _unseen(name: str) -> FaultError:
+    return _fault("GEL-UNSEEN", name, "Its pictures come too seldom.", "Look at its cable.")
 
 
 def _fault(code: str, name: str, what: str, next_step: str) -> FaultError:

@@ -8,18 +8,30 @@ becomes of dropped ones (C5), and which gels are refused at connection (C6).
 from __future__ import annotations
 
 import tempfile
+import threading
+import time
 from dataclasses import replace
 from functools import cache
 from itertools import islice, permutations
 from pathlib import Path
+from typing import Self
 
 import cv2
 import numpy as np
 
 from backend.calibration.gels import HELD_LIMIT_PX, apart_px
+from backend.calibration.store import CalibrationStore
 from backend.config.hardware import GelsightSettings
-from backend.core.flow import FloatArray
+from backend.core.faults import Fault
+from backend.core.flow import Finger, FloatArray, TactileFrame
+from backend.core.stream import Stream
+from backend.devices.cameras.driver import TactileCamera
 from backend.devices.cameras.gate import Gate
+from backend.emulators.faults import Faults
+from backend.emulators.gel_pictures import sheared_gel
+from backend.emulators.gelsight import SERIAL, GelsightFront
+from backend.rig.connection import Connection
+from backend.runs.gel_check import GelCheck
 from backend.sensing.checked import CheckedTracker
 from backend.sensing.pictures import read_pictures
 from backend.sensing.rest import look_at_rest
@@ -37,6 +49,14 @@ CLIPS = (*(clip for clip, _ in SCENES), "artificial_strawberry_exp2_camera_0.avi
 LIVE, NOISE_GREY = 10_000, 0.5
 CONNECTIONS, PATTERNS = 100, 500
 CREEP_PX, LIGHT = 1.5, (0.8, 1.2)
+MODES = (
+    ("dark", 1.0, "", ""),
+    ("dark", None, "CAMERA-DARK", "stay dark"),
+    ("small_dots", None, "GEL-GRID", "8x10 small-dot gel"),
+)
+"""Mode of the emulated camera, for how long, what is told, and in which words."""
+PLACES = {"by_id": "by-id", "names": "names", "nodes": "nodes"}
+DARKEST = GelsightSettings().darkest_mean
 REST_FILE = "nocontact_train_sensor.png"
 
 
@@ -127,6 +147,73 @@ def gels_at_connection() -> list[Figure]:
     ]
 
 
+@figure("faults")
+def cameras_not_to_be_used() -> list[Figure]:
+    """What is said of an emulated camera in the dark or with another grid, through its pipe."""
+    rows = []
+    with tempfile.TemporaryDirectory() as folder, _Plugged(Path(folder)) as plugged:
+        for kind, for_s, code, words in MODES:
+            told, frames = plugged.connect(kind, for_s)
+            good = (told.code, words in told.what) == (code, True) if told else not code
+            dark = sum(float(frame.image.mean()) < DARKEST for frame in frames)
+            good = good and not dark
+            said = told.code if told else "connected"
+            how = f"{kind}, for {for_s:g} s" if for_s else kind
+            note = f"{told.what if told else ''} {dark} dark pictures of {len(frames)} were used"
+            rows.append(Figure(f"camera: {how}", said, "", code or "connected", good, note.strip()))
+        told = plugged.fade()
+        said = told.code if told else "nothing"
+        rows.append(Figure("camera: fade, in use", said, "", "CAMERA-DARK", said == "CAMERA-DARK"))
+    return rows
+
+
+class _Plugged:
+    """An emulated camera behind its pipe, and the connection that takes it."""
+
+    def __init__(self, folder: Path) -> None:
+        self._front = GelsightFront(sheared_gel("left", 0.0), folder, faults=Faults("tactile_left"))
+        places = {name: str(folder / where) for name, where in PLACES.items()}
+        own = {"serial": SERIAL}
+        settings = GelsightSettings.model_validate({**places, "left": own, "crop_fraction": 0.0})
+        self._frames: dict[Finger, Stream[TactileFrame]] = {"left": Stream("left", 256)}
+        camera = TactileCamera("left", settings, time.monotonic, self._frames["left"])
+        self._camera, devices = camera, {camera.name: camera}
+        self._connection = Connection(devices)
+        store = CalibrationStore(folder / "calibrations", "emulated")
+        self._connection.prove = GelCheck(store, devices, self._frames).prove
+
+    def __enter__(self) -> Self:
+        self._front.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._connection.close()
+        self._front.close()
+
+    def connect(self, kind: str, for_s: float | None) -> tuple[Fault | None, list[TactileFrame]]:
+        """Connect anew while ``kind`` is on; return what is told, and the pictures that came."""
+        stream = self._frames["left"]
+        self._connection.disconnect()
+        self._connection.wait()
+        self._front.faults.clear()
+        self._front.inject(kind, for_s)
+        before = stream.count
+        self._connection.begin(tuple(self._connection.devices))
+        self._connection.wait(20.0)
+        return self._connection.lines()[0].fault, stream.since(before)[0]
+
+    def fade(self) -> Fault | None:
+        """Let the lamps go out in the middle; return what is told within 8 s."""
+        self._front.faults.clear()
+        self._connection.begin(tuple(self._connection.devices))
+        self._connection.wait(20.0)
+        self._front.inject("fade")
+        end_s, pause = time.monotonic() + 8.0, threading.Event()
+        while self._camera.fault is None and time.monotonic() < end_s:
+            pause.wait(0.02)
+        return self._camera.fault
+
+
 def _another_day(look: GelLook, rng: np.random.Generator) -> Gel:
     turn = rng.uniform(0.0, 2.0 * np.pi)
     creep_px = rng.uniform(0.0, CREEP_PX) * np.array([np.cos(turn), np.sin(turn)])
@@ -145,13 +232,13 @@ def _rest_px(name: str) -> FloatArray:
 
 
 def _real_gels() -> list[Figure]:
-    """Five days of one real gel, always with a piece in hand, and another one at rest."""
+    """Five recordings of a real gel, always with a piece in hand, and another one at rest."""
     same = [apart_px(_rest_px(a), _rest_px(b)) for a, b in permutations(CLIPS, 2)]
     other = [apart_px(_rest_px(a), _rest_px(REST_FILE)) for a in CLIPS]
     worst, nearest = max(same), min(other)
     return [
         Figure(
-            "one real gel on five days, holding pieces: farthest apart", worst, "px",
+            "one real gel in five recordings, holding pieces: farthest apart", worst, "px",
             f"< {HELD_LIMIT_PX:g}", worst < HELD_LIMIT_PX, f"rms, of {len(same)} pairs",
         ),
         Figure(

@@ -1,7 +1,7 @@
 """The fingerprint of a gel: where its 63 dots rest, by which the same gel is known again.
 
-Places are those of the raw picture, whatever the settings mirror. Of real gels, five recordings of one
-sensor lie 0.6 to 1.5 px (rms) apart although they hold a piece, two sensors 5.2 px and more.
+Places are those of the raw picture, whatever the settings mirror. Five recordings of one real gel
+lie 0.6 to 1.5 px (rms) apart although it holds a piece in each, two real gels 5.2 px and more.
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ def incoming() -> FrameStream[Incoming]:
 
 def requests() -> FrameStream[Request]:
     """Return the decoder of what the sensor is sent."""
-    return FrameStream(_take_request, overtake=lambda take, data, at: None)
+    return FrameStream(_take_request, overtake=lambda take, data, at: False)
 
 
 def _checked(text: bytes, pattern: re.Pattern[bytes]) -> bytes:
@@ -157,10 +157,9 @@ def _wait_for_text(data: bytes, at: int) -> Step[Incoming] | None:
     return noise_until(data, at, b"\xaarA")
 
 
-def _text_behind(take: Take[Incoming], data: bytes, at: int) -> int | None:
-    """Return where a text begins behind a frame that was cut off by it."""
-    found = re.compile(_REPLY.pattern + b"|" + _BOOT).search(data, at)
-    return None if found is None else found.start()
+def _text_behind(take: Take[Incoming], data: bytes, at: int) -> bool:
+    """Return whether a text begins behind a frame that was cut off by it."""
+    return re.compile(_REPLY.pattern + b"|" + _BOOT).search(data, at) is not None
 
 
 def _take_request(data: bytes, at: int) -> Step[Request] | None:

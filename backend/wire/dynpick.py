@@ -89,12 +89,12 @@ def _take(data: bytes, at: int) -> Step[Record] | None:
 
 def records() -> FrameStream[Record]:
     """Return a decoder of a stream of records; a line that is not one is counted and left out."""
-    return FrameStream(_take, overtake=lambda take, data, at: None)
+    return FrameStream(_take, overtake=lambda take, data, at: False)
 
 
 def command_stream() -> FrameStream[Command]:
     """Return the decoder of what a sensor is sent."""
-    return FrameStream(_take_command, overtake=lambda take, data, at: None)
+    return FrameStream(_take_command, overtake=lambda take, data, at: False)
 
 
 def _take_command(data: bytes, at: int) -> Step[Command] | None:

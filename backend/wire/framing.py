@@ -50,12 +50,12 @@ class Step(NamedTuple, Generic[Message]):
 Take = Callable[[bytes, int], Step[Message] | None]
 """(bytes, place) -> what is found there, or None while the bytes do not suffice to tell."""
 
-Overtake = Callable[[Take[Message], bytes, int], int | None]
-"""(take, bytes, place of an unfinished message) -> where to go on without it, or None."""
+Overtake = Callable[[Take[Message], bytes, int], bool]
+"""(take, bytes, place of an unfinished message) -> whether to go on without it."""
 
 
-def two_in_a_row(take: Take[Message], data: bytes, at: int) -> int | None:
-    """Return where two whole messages lie end to end behind ``at``.
+def two_in_a_row(take: Take[Message], data: bytes, at: int) -> bool:
+    """Return whether two whole messages lie end to end behind ``at``.
 
     So a false header whose length field promises much does not hold up the stream.
     """
@@ -66,9 +66,9 @@ def two_in_a_row(take: Take[Message], data: bytes, at: int) -> int | None:
             behind = place + first.length
             second = take(data, behind) if behind < len(data) else None
             if second is not None and second.message is not None:
-                return place
+                return True
         place += first.length if first is not None and first.message is None else 1
-    return None
+    return False
 
 
 class FrameStream(Generic[Message]):
@@ -91,10 +91,10 @@ class FrameStream(Generic[Message]):
         while at < len(rest):
             step = self._take(rest, at)
             if step is None:
-                onward = self._overtake(self._take, rest, at)
-                if onward is None:
+                if not self._overtake(self._take, rest, at):
                     break
-                step = Step(onward - at, refused=True)
+                # As where all of it has come and is none: the same however the stream is cut.
+                step = Step(1, refused=True)
             at += step.length
             self._count(step)
             if step.message is not None:

@@ -145,7 +145,7 @@ def decode(frame: bytes) -> Packet:
 
 def packets() -> FrameStream[Packet]:
     """Return a decoder of either direction."""
-    return FrameStream(_take, overtake=lambda take, data, at: None)
+    return FrameStream(_take, overtake=lambda take, data, at: False)
 
 
 def _take(data: bytes, at: int) -> Step[Packet] | None:

@@ -58,10 +58,13 @@ class Dots:
         self._canvas = np.zeros(shape, dtype=np.float32)
         self.mask = self._canvas[_SIZE_PX:-_SIZE_PX, _SIZE_PX:-_SIZE_PX]
 
-    def draw(self, displacement_px: FloatArray) -> None:
-        """Draw the dots at rest + ``displacement_px`` (63, 2) into ``mask``."""
-        if self._still_px and np.abs(displacement_px - self._drawn_px).max() <= self._still_px:
-            return
+    def draw(self, displacement_px: FloatArray) -> bool:
+        """Draw the dots at rest + ``displacement_px`` (63, 2) into ``mask``; whether it changed.
+
+        In the air, most of the time, nothing moves: what is drawn is what has to be drawn.
+        """
+        if np.abs(displacement_px - self._drawn_px).max() <= self._still_px:
+            return False
         self._drawn_px = displacement_px.copy()
         centre_px = self._look.rest_px + displacement_px
         corner = np.floor(centre_px).astype(np.intp) - _REACH_PX + 1
@@ -76,6 +79,7 @@ class Dots:
         for (u, v), patch in zip(place, self._patches, strict=True):
             there = self._canvas[v : v + _SIZE_PX, u : u + _SIZE_PX]
             cv2.max(there, patch, there)
+        return True
 
     def _draw_discs(self, dx: Float32, dy: Float32, displacement_px: FloatArray) -> None:
         """Fill the patches with discs; ``dx``, ``dy`` (63, n): px from the centres."""

@@ -49,21 +49,26 @@ class FingerOptics:
         shadow = np.zeros((HEIGHT_PX + margin, WIDTH_PX + margin), dtype=np.float32)
         self._shadow = _moved(shadow, 0, 0)
         self._fringes = [_moved(shadow, du, dv) for du, dv in _FRINGE]
+        self._shaded = np.empty((3, HEIGHT_PX, WIDTH_PX), dtype=np.float32)
+        self._smeared = False
         self._plane = np.empty((HEIGHT_PX, WIDTH_PX), dtype=np.float32)
         self._levels = [np.empty((HEIGHT_PX, WIDTH_PX), dtype=np.uint8) for _ in range(3)]
 
     def render(self, displacement_px: FloatArray, hidden: NDArray[np.bool_]) -> ImageArray:
         """Return the image for ``displacement_px`` (63, 2); smears cover ``hidden`` dots (63,)."""
-        self._dots.draw(displacement_px)
-        np.multiply(self._dots.mask, np.float32(_FRINGE_DEPTH), out=self._shadow)
+        changed = self._dots.draw(displacement_px)
+        if changed:
+            np.multiply(self._dots.mask, np.float32(_FRINGE_DEPTH), out=self._shadow)
         covered_px = (self.look.rest_px + displacement_px)[hidden]
         smears = [smear for centre_px in covered_px if (smear := _smear(centre_px))]
+        fresh, self._smeared = changed or bool(smears) or self._smeared, bool(smears)
         rows = self._draws.integers(0, (_BANK_FACTOR - 1) * HEIGHT_PX, 3).tolist()
         columns = self._draws.integers(0, (_BANK_FACTOR - 1) * WIDTH_PX, 3).tolist()
         for channel, (row, column) in enumerate(zip(rows, columns, strict=True)):
-            self._shade(channel, smears)
+            if fresh:
+                self._shade(channel, smears)
             noise = self._bank[channel, row : row + HEIGHT_PX, column : column + WIDTH_PX]
-            cv2.add(self._plane, noise, self._plane)
+            cv2.add(self._shaded[channel], noise, self._plane)
             # Rounds and saturates in one pass; levels are never far below zero, so their sign is
             # safe.
             cv2.convertScaleAbs(self._plane, self._levels[channel])
@@ -71,7 +76,7 @@ class FingerOptics:
 
     def _shade(self, channel: int, smears: list[Smear]) -> None:
         """Lay the dots, their coloured shadows and smears over the resting image of a colour."""
-        plane = self._plane
+        plane = self._shaded[channel]
         # OpenCV takes windows of larger arrays in half the time.
         cv2.max(self._dots.mask, self._fringes[channel], plane)
         np.multiply(self._to_core[channel], plane, out=plane)

@@ -116,6 +116,19 @@ def test_a_smear_hides_its_dot_only(look):
     assert depth[31] < 0.5 * np.delete(depth, 31).min()
 
 
+def test_what_did_not_move_is_not_drawn_again_and_looks_as_if_it_were(look):
+    moved, hidden = np.tile([1.5, 2.0], (MARKERS, 1)), NOBODY.copy()
+    hidden[31] = True
+    course = [(STILL, NOBODY), (STILL, NOBODY), (STILL, hidden), (STILL, NOBODY),
+              (moved, NOBODY), (moved, NOBODY), (STILL, NOBODY)]  # fmt: skip
+    optics = FingerOptics(look, 4)
+    for number, shown in enumerate(course):
+        image, other = optics.render(*shown), FingerOptics(look, 4)
+        for before in range(number):
+            other.render(STILL + 5.0 + before, NOBODY)
+        assert np.array_equal(image, other.render(*shown)), number
+
+
 def test_dots_stretch_with_the_gel(look):
     strain = np.zeros((MARKERS, 2))
     strain[:, 0] = 0.2 * (look.rest_px[:, 0] - 160.0)

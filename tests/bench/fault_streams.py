@@ -15,13 +15,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from backend.config.hardware import ForceTorqueSettings, HardwareSettings
+from backend.core.faults import FaultError
 from backend.core.flow import FloatArray, Pose
 from backend.devices.force_torque.dynpick import PERIOD_S, DynpickLanguage
 from backend.devices.force_torque.readout import Readout
+from backend.devices.melfa.kinematics import STEPS_RAD
+from backend.devices.motion import CommandedMotion
 from backend.devices.protocols import DeviceState
 from backend.wire.dynpick import Record, encode_record
 from backend.wire.melfa_mxt import decode_request
 from tests.backend.devices.emulated_arm import Rig
+from tests.backend.devices.melfa.leaps import Leaping
 from tests.backend.devices.melfa.test_stream import LEAD_MM, SPEED_MM_S, doing
 from tests.backend.wire.codecs import CODECS, IN
 from tests.backend.wire.vectors import VECTORS, data
@@ -38,6 +42,7 @@ HEADS = {"bota": 1, "robotiq-ft300": 2, "optoforce": 4, "wsg-binary": 6}
 """Bytes of a frame before what its checksum of 16 bits is there for."""
 FRAMES, FLIPPED = 500_000, 100_000
 COUNTS_PER_N, MOST_STEP_N = 65, 50.0
+LEAPS, STORM_CYCLES, MOST_SHARE = 200, 10, 0.5
 LOSSES, MINUTES = (0.05, 0.20), 10.0
 ERRORS = (2000, 2601, 4140, 6020, 4242, 50, 61, 70)
 STATES = ("stand", "travel", "jog", "press")
@@ -193,6 +198,47 @@ def ten_minutes_of_lost_packets() -> list[Figure]:
         name = f"{100 * loss:.0f} % of the packets lost for 10 min: largest step"
         rows.append(Figure(name, found.ratio, "leads", "<= 1.05, no fault, none back", ok, told))
     return rows
+
+
+@figure("faults")
+def steps_too_large() -> list[Figure]:
+    """Motions that leap, by any step, any way, so many cycles in a row: what the controller saw."""
+    rng, broken, share = np.random.default_rng(11), [], 0.0
+    faults = refused = 0
+    for number in range(LEAPS):
+        rig = Rig()
+        rig.arm.connect(1.0, threading.Event())
+        way, in_a_row = rng.normal(size=3), int(rng.integers(1, 31))
+        size_mm = 10.0 ** rng.uniform(-0.3, 2.7)
+        program = Leaping(size_mm * way / np.linalg.norm(way), in_a_row)
+        rig.arm._core.run(program)
+        rig.rest(0.2)
+        joints = [t.axes[:6] for _, p in rig.wires.packets if (t := decode_request(p).target)]
+        share = max(share, float((np.abs(np.diff(joints, axis=0)) / STEPS_RAD).max()))
+        fault = "" if rig.arm.fault is None else rig.arm.fault.code
+        faults, refused = faults + bool(fault), refused + (_failed(program.motion))
+        wanted = {"STEPS-TOO-LARGE"} if in_a_row > STORM_CYCLES else {""}
+        if rig.device.controller.error or fault not in wanted | {""} or not program.motion.done:
+            broken.append(f"number {number}: {size_mm:.1f} mm, {in_a_row} times, '{fault}'")
+        elif in_a_row > STORM_CYCLES and not _failed(program.motion):
+            broken.append(f"number {number}: {size_mm:.1f} mm, {in_a_row} times, went on")
+    told = f"{faults} ended as a fault, {refused - faults} refused at once" + "".join(
+        f"; {one}" for one in broken[:3]
+    )
+    return [
+        Figure(f"motions of {LEAPS} that leap, not ended as documented", len(broken), "", "0",
+               not broken, told),
+        Figure("largest step that reached the controller, of its top speed", share, "", "<= 0.5",
+               share <= MOST_SHARE, "its own step check never fired"),
+    ]  # fmt: skip
+
+
+def _failed(motion: CommandedMotion) -> bool:
+    try:
+        motion.result()
+    except FaultError:
+        return True
+    return False
 
 
 @figure("faults")

@@ -78,6 +78,17 @@ def controller_fault(number: int, text: str = "") -> Fault:
     return Fault(code, said, HELD, step, ARM)
 
 
+def oversize_fault(cycles: int) -> Fault:
+    """Return the fault of a motion that asks for steps too large for so many cycles in a row."""
+    return Fault(
+        "STEPS-TOO-LARGE",
+        f"A motion asked for steps too large for its speed, {cycles} cycles in a row.",
+        HELD,
+        "This is an error of the program: keep its log, press Reset, then connect the arm again.",
+        ARM,
+    )
+
+
 def unlimited_fault() -> Fault:
     """Return the fault of a controller that would go on waiting for packets for ever."""
     return Fault(

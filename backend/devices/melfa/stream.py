@@ -20,7 +20,13 @@ from backend.core.turning import LEVEL_RAD, UNTURNED, tilt_rad, vector_of
 from backend.devices.melfa.guard import check_joints, check_step
 from backend.devices.melfa.kinematics import STEPS_RAD, Placing
 from backend.devices.melfa.ladder import Rung, rung
-from backend.devices.melfa.link_faults import START, VOID, lost_fault, tilted_fault
+from backend.devices.melfa.link_faults import (
+    START,
+    VOID,
+    lost_fault,
+    oversize_fault,
+    tilted_fault,
+)
 from backend.devices.melfa.replies import MONITORS, Echo, Replies
 from backend.devices.motion import CommandedMotion
 from backend.devices.streamed.motion import REPLACED, STOPPED, refused_fault
@@ -36,6 +42,8 @@ LEAD_CYCLES = 3
 LEAST_LEAD_MM_S = 20.0
 TILT_RAD = math.radians(20.0)
 """A hand that leans more at the start is not moved: that is no place this program left it in."""
+OVERSIZE, STORM_CYCLES = 2.0, 10
+"""A step over so many times what the speed allows is cut; more such in a row are a fault."""
 LEAST_LEAD_RAD_S = math.radians(5.0)
 END = encode_request(Request(Command.END))
 NO_TIME, NO_FORCE = np.empty(0), np.empty((0, 3))
@@ -103,6 +111,7 @@ class StreamCore:
         self._echo_rad = np.zeros(6)
         self._rest()
         self._holding = False
+        self._oversize = 0
 
     def _rest(self) -> None:
         """Take note that the command stands still."""
@@ -252,6 +261,8 @@ class StreamCore:
             self.program = None
             self._rest()
             return None
+        if self._oversize > STORM_CYCLES:
+            return oversize_fault(self._oversize)
         if turn is not self.turn:
             self._turning_rad_s = vector_of(turn @ self.turn.T) / CYCLE_S
         self.velocity_mm_s = (command_mm - felt.command_mm) / CYCLE_S
@@ -264,6 +275,9 @@ class StreamCore:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return place, turn and joints of the next command of a program that moves the hand."""
         wanted_mm = program.next_mm(felt)
+        most_mm = OVERSIZE * CYCLE_S * max(program.speed_mm_s, LEAST_LEAD_MM_S)
+        well = bool(np.linalg.norm(wanted_mm - self.command_mm) <= most_mm)
+        self._oversize = 0 if well else self._oversize + 1
         command_mm = self._within_lead(wanted_mm, program.speed_mm_s)
         turn = self.turn if program.turn is None else program.turn
         if command_mm is not wanted_mm:

@@ -1,0 +1,121 @@
+"""Disks that refuse the first call of a kind, the second, and so on, until a run meets none.
+
+As a program (a folder as its argument) it is the recorder whose calls a preloaded library refuses:
+those of the catalogue's own library, too.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from backend.catalogue.dataset import Dataset
+from backend.catalogue.values import Label
+from backend.core.faults import TouchdownError
+from tests.backend.catalogue.conftest import context_for, small_episode
+from tests.backend.catalogue.crash_trials import Known, forked, told, verify
+from tests.bench.registry import Figure, figure
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCE = Path(__file__).with_name("disk_refusals.c")
+KINDS = ("synchronising", "writing", "writing half", "renaming", "creating")
+EPISODES, LIMIT = 2, 400
+"""Recorded after the refusal was armed; more calls of a kind than these are not looked at."""
+
+
+@figure("faults")
+def disks_that_refuse() -> list[Figure]:
+    """The n-th call of each kind fails while episodes and labels are recorded, for every n."""
+    name = "refusals of a disk, for every n: lost, torn, or not gone on"
+    compiler = shutil.which("cc")
+    if compiler is None or sys.platform != "linux":
+        return [Figure(name, None, "", "0", None, "needs Linux and a C compiler")]
+    memory = Path("/dev/shm")
+    with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
+        shim, disk = Path(folder) / "refusals.so", Path(folder) / "disk"
+        build = [compiler, "-O1", "-shared", "-fPIC", "-o", str(shim), str(SOURCE), "-ldl"]
+        subprocess.run(build, check=True)
+        disk.mkdir()
+        done = subprocess.run(
+            [sys.executable, "-m", "tests.bench.fault_disk", str(disk)],
+            cwd=ROOT, env=os.environ | {"LD_PRELOAD": str(shim), "REFUSE_ROOT": str(disk)},
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+    answer = json.loads(done.stdout.splitlines()[-1])
+    counts, wrong = answer["refused"], answer["wrong"]
+    ok = not wrong and all(0 < counts[kind] < LIMIT for kind in KINDS)
+    said = ", ".join(f"{counts[kind]} x {kind}" for kind in KINDS)
+    told_all = f"{sum(counts.values())} refusals: {said}" + "".join(f"; {w}" for w in wrong[:3])
+    return [Figure(name, len(wrong), "", "0", ok, told_all)]
+
+
+def _scenario(place: Path, kind: int, nth: int, tell: Callable[[str], None]) -> None:
+    """Record and label, whatever is refused; tell what was acknowledged, and if it was met."""
+    library = ctypes.CDLL(None)
+    with Dataset.open(place, person="cleo") as dataset:
+        context = context_for(dataset)
+        library.arm(kind, nth)
+        for seed in range(EPISODES + 1):
+            # The disk is well again: what comes last has to succeed.
+            last = seed == EPISODES
+            if last:
+                tell(f"met {library.was_refused()} - -\n")
+                library.arm(-1, 0)
+            try:
+                entry = dataset.record(
+                    small_episode(seed=seed), Label(seed, -seed, 0, 9), source="commanded",
+                    context=context,
+                )  # fmt: skip
+                tell(f"episode {entry.uuid} {seed} -\n")
+                revision = dataset.labels.set("ann", entry.uuid, Label(seed + 1, 0, 0, 9))
+                tell(f"label {entry.uuid} {seed + 1} {revision.rev_uuid}\n")
+            except TouchdownError as error:
+                if last:
+                    tell(f"stuck {type(error).__name__} {str(error).replace(' ', '_')} -\n")
+        tell("end - - -\n")
+
+
+def _one(place: Path, kind: int, nth: int) -> tuple[bool, list[str]]:
+    """Return whether the call was refused, and what does not hold then."""
+    known, met, ended, wrong = Known(), False, False, list[str]()
+    Dataset.open(place).close()
+    pid, out = forked(lambda tell: _scenario(place, kind, nth, tell))
+    for line in told(out):
+        word, second, *_ = line.split()
+        met = met or (word == "met" and second == "1")
+        ended = ended or word == "end"
+        if word == "stuck":
+            wrong.append(line.strip())
+        elif word in ("episode", "label"):
+            known.take(line)
+    os.waitpid(pid, 0)
+    if not ended:
+        wrong.append("an error that is no fault of ours ended it")
+    if len(known.episodes) < EPISODES:
+        wrong.append("cost more than one episode")
+    return met, wrong + verify(place, known)
+
+
+def _all(folder: Path) -> dict[str, object]:
+    refused, wrong = dict.fromkeys(KINDS, 0), list[str]()
+    for kind, name in enumerate(KINDS):
+        for nth in range(1, LIMIT + 1):
+            place = folder / f"{kind}-{nth}"
+            met, found = _one(place, kind, nth)
+            wrong += [f"{name} {nth}: {what}" for what in found]
+            shutil.rmtree(place)
+            if not met and not found:
+                break
+            refused[name] += 1
+    return {"refused": refused, "wrong": wrong}
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(_all(Path(sys.argv[1]))) + "\n")

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal
-from PySide6.QtGui import QFontMetrics, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
+from PySide6.QtGui import QColor, QFontMetrics, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from widgets.state_pill import Colour, Shape, draw_shape
-from widgets.theme import Theme, ui_font
+from widgets.theme import Theme, Tokens, ui_font
 
 ChipState = Literal["ready", "connecting", "degraded", "stale", "fault", "closed"]
 _LOOK: dict[ChipState, tuple[Shape, Colour]] = {
@@ -31,6 +31,15 @@ class ChipValue:
     detail: str
     lost: int = 0
     tip: str = ""
+
+
+def mark_colours(state: ChipState, tokens: Tokens) -> tuple[QColor, QColor | None]:
+    """Return ink and rim of the mark of a state; the rim where the ink is hardly seen on a chip."""
+    colour = _LOOK[state][1]
+    named = {"green": "good", "red": "bad", "grey": "muted", "blue": "text"}
+    if colour != "yellow":
+        return tokens.colour(named[colour]), None
+    return tokens.colour("pill_yellow"), tokens.colour("text") if tokens.name == "light" else None
 
 
 class DeviceChip(QWidget):
@@ -109,12 +118,10 @@ class DeviceChip(QWidget):
         painter.setPen(QPen(t.colour("focus" if focused else "hairline"), 2 if focused else 1))
         painter.setBrush(t.colour("hover" if self.underMouse() else "raised"))
         painter.drawRoundedRect(QRectF(self.rect()).adjusted(0.5, 0.5, -0.5, -0.5), 6, 6)
-        shape, colour = _LOOK[self.value.state]
-        mark = t.colour("good") if colour == "green" else t.colour(f"pill_{colour}")
-        if colour in ("grey", "blue") or (colour == "yellow" and t.name == "light"):
-            mark = t.colour("muted" if colour == "grey" else "text")
+        ink, rim = mark_colours(self.value.state, t)
         size = (self._left_px() - 12) / 2
-        draw_shape(painter, shape, QPointF(8 + size, self.height() / 2), mark, size)
+        place = QPointF(8 + size, self.height() / 2)
+        draw_shape(painter, _LOOK[self.value.state][0], place, ink, size, rim)
         self._draw_text(painter)
 
     def _draw_text(self, painter: QPainter) -> None:

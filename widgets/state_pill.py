@@ -96,9 +96,16 @@ class StatePill(QWidget):
             painter.drawText(box, int(Qt.AlignmentFlag.AlignTop), self.state.note)
 
 
-def draw_shape(painter: QPainter, shape: Shape, at: QPointF, ink: QColor, size: float = 6) -> None:
-    """Draw one state icon of half size ``size`` centred ``at``."""
-    painter.setPen(QPen(ink, 2))
+def draw_shape(
+    painter: QPainter,
+    shape: Shape,
+    at: QPointF,
+    ink: QColor,
+    size: float = 6,
+    rim: QColor | None = None,
+) -> None:
+    """Draw one state icon of half size ``size`` centred ``at``; ``rim``: of another colour."""
+    painter.setPen(QPen(rim or ink, 1.3 if rim else 2))
     painter.setBrush(ink)
     x, y, s = at.x(), at.y(), size
     if shape == "ring":

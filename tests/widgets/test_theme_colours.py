@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import QComboBox, QLineEdit, QListWidget, QPushButton, QSpinBox
 
 from widgets.arrows import BIN_COLOURS
+from widgets.device_chip import ChipState, mark_colours
 from widgets.scene_shot import LOOKS
 from widgets.style_sheet import style_sheet
 from widgets.theme import CONTRAST, DARK, LIGHT, contrast_ratio, load_resources
@@ -232,3 +234,13 @@ def test_ticks_and_arrows_of_controls_are_seen(tokens):
 
 def test_the_distance_test_can_fail():
     assert smallest_distance(["#1B5E20", "#B3261E"]) < 10
+
+
+@pytest.mark.parametrize("tokens", [DARK, LIGHT, CONTRAST], ids=lambda tokens: tokens.name)
+@pytest.mark.parametrize("state", get_args(ChipState))
+def test_the_mark_of_a_chip_is_told_from_the_chip_and_a_warning_is_yellow(tokens, state):
+    ink, rim = mark_colours(state, tokens)
+    for ground in ("raised", "hover"):
+        assert contrast_ratio(rim or ink, tokens.colour(ground)) >= 3.0
+    if state in ("degraded", "stale"):
+        assert ink == tokens.colour("pill_yellow")

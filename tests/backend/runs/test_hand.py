@@ -226,7 +226,7 @@ def test_an_order_for_references_is_answered_once(session):
     assert len([f for f in facts if isinstance(f, (Said, Refused))]) == 1
 
 
-@pytest.mark.parametrize("distance", [0.1, 0.5, 1.0, 5.0, -5.0])
+@pytest.mark.parametrize("distance", [0.1, 1.0, -5.0])
 def test_a_step_goes_exactly_so_far(session, distance):
     session.hand.jog.step("x", "XYZ", 0.0 + distance, 20.0)
     before = position(session)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 
 import pytest
@@ -72,15 +73,24 @@ def test_the_jaws_do_not_close_on_a_no(tmp_path) -> None:
         assert dataset.episodes() == []
 
 
+@pytest.fixture(scope="module")
+def broken_off(tmp_path_factory):
+    """Return a dataset whose campaign ended after the first of two grips."""
+    folder = tmp_path_factory.mktemp("broken-off") / "ds"
+    with Dataset.open(folder, person="ann") as dataset:
+        answers = iter([True, True, False])
+        collected(dataset, lambda _: next(answers), count=2, probes_per_grip=1)
+    return folder
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("anew", [False, True])
 def test_a_campaign_that_goes_on_asks_whether_bottom_and_gels_were_fitted_anew(
-    tmp_path, anew
+    broken_off, tmp_path, anew
 ) -> None:
     """Splits go by mounting: one that nobody fitted must not become a second one by a restart."""
+    shutil.copytree(broken_off, tmp_path / "ds")
     with Dataset.open(tmp_path / "ds", person="ann") as dataset:
-        answers = iter([True, True, False])
-        collected(dataset, lambda _: next(answers), count=2, probes_per_grip=1)
         uuid = newest_campaign(dataset.folder)
         assert read_campaign(dataset.folder, uuid).mountings == 1
         answers = iter([anew, True, True])

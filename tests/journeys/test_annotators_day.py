@@ -1,6 +1,6 @@
 """Probes labelled by keys in the real window, killed twice, reviewed, handed on.
 
-Twenty-eight of them: each way to decide four times, two collected and the others simulated.
+Fourteen of them: each way to decide twice, two collected and the others simulated.
 ``DAY_PROBES=100`` in the environment makes it a hundred, as ``make bench`` does.
 """
 
@@ -30,7 +30,7 @@ from backend.catalogue.recovery import examine
 from backend.catalogue.values import Revision
 from backend.learning.training_runs import training_runs
 
-PROBES = int(os.environ.get("DAY_PROBES", "28"))
+PROBES = int(os.environ.get("DAY_PROBES", "14"))
 COLLECTED, PACKED = 2, PROBES - 2
 """Probes through the devices of the bench, and from its mass simulation."""
 KILLS = ((PROBES * 4 // 25, PROBES * 8 // 25), (PROBES * 12 // 25, PROBES * 18 // 25))

@@ -24,7 +24,7 @@ from tests.backend.brisk import RATE_HZ
 WIDTH, HEIGHT = 1600, 940
 REST = (1100, 470)
 """A place without a control on the page of jogging."""
-PROBES = 20
+PROBES = 8
 LIMIT_S = 600.0
 """Nothing takes so long, but on a machine with much else to do."""
 TOUR_STOPS = 10
@@ -223,6 +223,7 @@ def jog_and_probe(operator):
 def collect(operator):
     operator.press("ctrl+2")
     operator.fill("Person", "Ann")
+    operator.fill("Probes", str(PROBES))
     operator.click("Ask after every probe")
     operator.click("Start collecting")
     operator.until(lambda: operator.reads(f"{PROBES} of {PROBES}"), every_s=1.0)

@@ -256,6 +256,9 @@ def test_a_link_lost_while_holding_waits_for_the_operator(wired):
     assert wired.gripper.fault.code == "WSG-FAST-STOP"
     with pytest.raises(FaultError):
         wired.gripper.grip(10.0)
+    # Nothing was asked of the jaws by coming back either.
+    assert wired.emulated.barred == 0
+    assert wired.emulated.jaws.motion is None
     wired.gripper.acknowledge()
     until(lambda: wired.gripper.state is DeviceState.READY)
     finish(wired, wired.gripper.grip(10.0))

@@ -64,8 +64,8 @@ def _row(one: Chosen, margin: float) -> dict[str, object]:
     return {
         "uuid": entry.uuid,
         "recorded_utc": recorded.isoformat(timespec="milliseconds"),
-        "grasped": entry.piece,
-        "bottom": entry.bottom,
+        "grasped": as_text(entry.piece),
+        "bottom": as_text(entry.bottom),
         "x_mm": _thousandth(label.x_um),
         "y_mm": _thousandth(label.y_um),
         "theta_deg": _thousandth(label.theta_mdeg),
@@ -74,15 +74,20 @@ def _row(one: Chosen, margin: float) -> dict[str, object]:
         "state": revision.state,
         "stable": "true" if margin >= 0.0 else "false",
         "margin_mm": f"{margin:.3f}" if math.isfinite(margin) else "",
-        "quality": "; ".join(entry.quality.reasons) or "accepted",
+        "quality": as_text("; ".join(entry.quality.reasons) or "accepted"),
         "file": entry.path,
         "file_sha256": entry.sha256,
         "rev_uuid": revision.rev_uuid,
-        "grip_id": entry.grip_id,
-        "mounting_id": entry.mounting_id,
-        "person": entry.person,
-        "split": one.split,
+        "grip_id": as_text(entry.grip_id),
+        "mounting_id": as_text(entry.mounting_id),
+        "person": as_text(entry.person),
+        "split": as_text(one.split),
     }
+
+
+def as_text(content: str) -> str:
+    """Return what a spreadsheet shows as ``content`` and does not take for a formula."""
+    return f"'{content}" if content.startswith(("=", "+", "-", "@", "\t", "\r")) else content
 
 
 def _thousandth(value: int | None) -> str:

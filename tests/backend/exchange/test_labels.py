@@ -49,6 +49,19 @@ def test_unchanged_labels_come_back_as_the_same(kind: str, hand: Hand, dataset: 
     assert (done.changed, done.unchanged, done.refused, done.warnings) == (0, 6, (), ())
 
 
+@pytest.mark.parametrize("name", ["=1+1", "+cmd|'x'!A1", "-2", "@sum(a1)", "\t=1"])
+def test_a_cell_that_a_spreadsheet_would_calculate_is_text(name: str) -> None:
+    assert tables.as_text(name) == f"'{name}"
+    assert tables.as_text(f"ann {name}") == f"ann {name}"
+
+
+def test_the_person_of_a_table_is_shown_as_written(hand: Hand, dataset: Dataset) -> None:
+    with dataset.database.transaction() as rows:
+        rows.execute("UPDATE episode SET person = '=HYPERLINK(1)'")
+    with (hand("csv").folder / "episodes.csv").open(newline="") as file:
+        assert {row["person"] for row in csv.DictReader(file)} == {"'=HYPERLINK(1)"}
+
+
 def test_the_table_says_what_the_labels_say(hand: Hand, dataset: Dataset) -> None:
     with (hand("csv").folder / "episodes.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))

@@ -119,7 +119,6 @@ def main(lab: Path) -> int:
         real = camera._open_camera
         camera._open_camera = lambda path, settings: Blocking(real(path, settings), block)
         window.ready()
-        window.pump(lambda: window.session.hand is not None)
         ticks = Ticks(window)
         window.linger(2.0)
         found: dict[str, object] = {"usual_ms": ticks.longest_ms(BLOCKED_S)}

@@ -29,7 +29,7 @@ from tests.bench.fault_window import Watched
 from tests.busy_computer import STARVED
 
 CLEAR_MM, SPEED_MM_S = 60.0, 20.0
-GOING_S, FROZEN_S, PATIENCE_S = 0.35, 3.0, 60.0
+GOING_S, FROZEN_S, PATIENCE_S = 0.35, 3.0, 120.0
 AFTER_S = 0.3
 """Without another order before the arm has been looked at: it is asked within its last second."""
 NOTE = struct.Struct("<d")
@@ -82,7 +82,7 @@ class LabWindow(Watched):
         end_s = time.monotonic() + PATIENCE_S
         while time.monotonic() < end_s:
             self.pump(lambda: not connection.busy)
-            if connection.ready and not session.interlock.latched and not session.degraded:
+            if connection.ready and not session.interlock.latched and session.hand is not None:
                 return
             codes = {fault.code for fault in session.interlock.faults}
             assert codes <= STARVED, codes
@@ -106,7 +106,7 @@ class LabWindow(Watched):
         self.pump(self.main.window.isActiveWindow)
         pad = jog.pads[what]
         jog.speed.setValue(speed_mm_s)
-        self.pump(pad.isEnabled)
+        self.pump(lambda: pad.isEnabled() or self.session.interlock.latched)
         QTest.mousePress(pad, Qt.MouseButton.LeftButton)
         return pad
 
@@ -116,9 +116,8 @@ class LabWindow(Watched):
 
     def rise(self) -> None:
         """Jog up until the arm is clear of the zone where it is slow."""
-        arm = self.session.devices["arm"]
         end_s = time.monotonic() + PATIENCE_S
-        while arm.pose(10.0).z_mm < CLEAR_MM:  # type: ignore[attr-defined]
+        while not self._at_mm(2) >= CLEAR_MM:
             assert time.monotonic() < end_s, "the arm does not rise"
             self.ready()
             pad = self.press("+z", SPEED_MM_S)
@@ -127,8 +126,13 @@ class LabWindow(Watched):
 
     def along(self) -> str:
         """Return the way along X that leads to the middle."""
-        x_mm = self.session.devices["arm"].pose(10.0).x_mm  # type: ignore[attr-defined]
-        return "-x" if x_mm > 0.0 else "+x"
+        return "-x" if self._at_mm(0) > 0.0 else "+x"
+
+    def _at_mm(self, axis: int) -> float:
+        """Return one coordinate of the newest place of the arm; NaN before the first."""
+        poses = self.session.raw.poses
+        values = poses.since(poses.count - 1).values
+        return float(values[-1, axis]) if len(values) else float("nan")
 
     def note_renewals(self, note: Note) -> None:
         """Let ``note`` hold when the jog lease was last renewed (monotonic)."""
@@ -230,13 +234,15 @@ def say(text: str) -> None:
 
 def jog(window: LabWindow, speed_mm_s: float, way: str) -> None:
     """Make one jog that ends in ``way``."""
-    for _ in range(10):
+    end_s, held = time.monotonic() + PATIENCE_S, False
+    while not held:
+        assert time.monotonic() < end_s, f"no jog goes on: {window.main.cards.codes}"
         window.ready()
         pad = window.press(window.along(), speed_mm_s)
         window.linger(GOING_S)
-        if window.operate.page.jog.hold.held:
-            break
-        window.release(pad)
+        held = window.operate.page.jog.hold.held
+        if not held:
+            window.release(pad)
     say("going")
     WAYS[way](window, pad)
     window.linger(AFTER_S)
@@ -258,7 +264,6 @@ def main(lab: Path, note: Path) -> None:
     with tempfile.TemporaryDirectory() as name:
         window = LabWindow(Path(name), lab)
         window.ready()
-        window.pump(lambda: window.session.hand is not None)
         window.rise()
         window.note_renewals(Note(note))
         threading.Thread(target=listen, daemon=True).start()

@@ -35,15 +35,16 @@ ALONG_PX, STIFF_SHARE = 0.8, 0.2
 real rows bend by 0.38 of it and more."""
 TINT_LEVELS = 1.0
 """White balance and exposure are locked: real pictures change their colour by 0.3 at most."""
-LINE_LEVELS, SURE_LINE_LEVELS = 3.0, 4.0
+LINE_LEVELS, SURE_LINE_LEVELS = 3.0, 5.0
 """A change of brightness that begins at one row of blocks and goes on below it: the levels of a
 JPEG count from block to block. Beside a doubtful marker the first is enough."""
 APART_PX, LOOKS_SHARE = 0.2, 0.03
 """A step that leaves the affine step of the eight neighbours, and a dot so much lighter or darker
 than one frame ago: together they make a marker doubtful."""
-CHANGED_LEVELS, LOCAL_LEVELS, LOCAL_RATIO = 20.0, 6.0, 5.0
+CHANGED_LEVELS, LOCAL_LEVELS, LOCAL_RATIO = 35.0, 8.5, 8.5
 """Rms over 5 x 5 px of what motion does not explain, in grey levels: damage above the first, and
-above the second where it is so many times that of the other markers."""
+above the second where it is so many times that of the other markers. Real gels in fast slip: 32
+at most, and 8.2 times."""
 STEADY_FRAMES = 3
 """A marker seen so often in a row does not vanish from one frame to the next."""
 EDGE_PX = 20.0

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from backend.core.faults import InputError
-from backend.core.flow import MARKERS, Finger, FloatArray, ImageArray
+from backend.core.flow import MARKERS, Finger, ImageArray
 from backend.simulation.dots import WIDTH_PX
 from backend.simulation.gel_look import load_look, mirrored
 from backend.simulation.optics import FingerOptics
@@ -21,8 +21,10 @@ STILL_NOISE = 1.0
 """Grey levels added to a still picture: no living camera repeats itself."""
 OTHER = np.array([[1.0, 0.012, 3.0], [-0.01, 0.985, 4.0]])
 """Where another gel of the same kind has its dots: some 5 px off, as two real sensors."""
-SMALLER = np.array([[0.8, 0.0, 32.0], [0.0, 0.8, 24.0]])
-"""Makes 8 x 10 dots of 7 x 9: the gel goes on beyond its rim as a mirror image."""
+TILE_ROWS, TILE_COLUMNS = (8, 232), (12, 308)
+"""Seven by nine pitches of either gel, of 320 x 240 px: side by side they go on as one grid."""
+SMALLER = 0.88
+"""Makes 8 x 10 dots of 7 x 9."""
 
 
 def sheared_gel(
@@ -73,17 +75,20 @@ def recorded(path: Path, seed: int = 0) -> Pictures:
 
 def other_gel(picture: ImageArray) -> ImageArray:
     """Return what the camera saw if another gel of the same kind were fitted."""
-    return _warped(picture, OTHER, cv2.BORDER_REPLICATE)
+    height, width = picture.shape[:2]
+    sized = OTHER * np.array([1.0, 1.0, width / WIDTH_PX])
+    moved = cv2.warpAffine(picture, sized, (width, height), borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(moved, dtype=np.uint8)
 
 
 def small_dots(picture: ImageArray) -> ImageArray:
     """Return what the camera saw if a gel of 8 x 10 small dots were fitted."""
-    return _warped(picture, SMALLER, cv2.BORDER_REFLECT)
-
-
-def _warped(picture: ImageArray, way: FloatArray, border: int) -> ImageArray:
     height, width = picture.shape[:2]
     scale = width / WIDTH_PX
-    sized = way * np.array([1.0, 1.0, scale])
-    moved = cv2.warpAffine(picture, sized, (width, height), borderMode=border)
-    return np.asarray(moved, dtype=np.uint8)
+    rows, columns = (
+        slice(*(round(scale * px) for px in ends)) for ends in (TILE_ROWS, TILE_COLUMNS)
+    )
+    wider = np.tile(picture[rows, columns], (2, 2, 1))
+    cut = wider[: round(height / SMALLER), : round(width / SMALLER)]
+    smaller = cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(smaller, dtype=np.uint8)

@@ -6,6 +6,7 @@ drifts its drift, ``drift=0.05 60`` for 0.05 N a second.
 
 from __future__ import annotations
 
+import os
 import select
 import sys
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ from backend.emulators.faults import AMOUNTS
 from backend.emulators.front import Front
 
 CLEAR = "clear"
+CHUNK = 4096
 USAGE = (
     "Type a fault and Enter: [device] kind [seconds], slow=Hz, drift=N/s; 'clear' ends all faults."
 )
@@ -24,7 +26,7 @@ class TypedFaults:
     """Lines of ``source`` as they are typed; a source that cannot be waited on gives none."""
 
     def __init__(self, fronts: Sequence[Front], source: TextIO | None = None) -> None:
-        self._fronts = fronts
+        self._fronts, self._typed = fronts, b""
         self._source: TextIO | None = sys.stdin if source is None else source
         try:
             usable = self._source is not None and self._source.fileno() >= 0
@@ -40,12 +42,19 @@ class TypedFaults:
 
     def take(self, limit_s: float) -> str:
         """Wait for a line, ``limit_s`` at most; return what it did, or why it did nothing."""
-        if self._source is None or not select.select([self._source], [], [], limit_s)[0]:
+        # Lines that came at once wait here: in a buffer of the source no select would see them.
+        if b"\n" not in self._typed and self._source is not None:
+            if not select.select([self._source], [], [], limit_s)[0]:
+                return ""
+            data = os.read(self._source.fileno(), CHUNK)
+            self._typed += data
+            if not data:
+                self._source = None  # its end: nobody types any more
+        line, ended, rest = self._typed.partition(b"\n")
+        if not ended and self._source is not None:
             return ""
-        line = self._source.readline()
-        if not line:
-            self._source = None  # its end: nobody types any more
-        return self.obey(line)
+        self._typed = rest
+        return self.obey(line.decode(errors="replace"))
 
     def obey(self, line: str) -> str:
         """Do what a line says; return a sentence."""

@@ -49,6 +49,12 @@ def test_lines_come_as_they_are_typed_and_end(fronts):
         assert typed.take(0.0) == ""
         os.write(write, b"silent 9\n")
         assert typed.take(1.0) == "gripper: silent for 9 s."
+        os.write(write, b"part_lost 9\nforce_torque freeze 9\nsil")
+        assert typed.take(1.0) == "gripper: part_lost for 9 s."
+        assert typed.take(0.0) == "force_torque: freeze for 9 s."
+        assert typed.take(1.0) == ""
+        os.write(write, b"ent 8\n")
+        assert typed.take(1.0) == "gripper: silent for 8 s."
         os.close(write)
         assert typed.take(1.0) == ""
         assert not typed.listens

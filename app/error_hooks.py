@@ -132,6 +132,17 @@ def install(box: ErrorBox) -> Callable[[], None]:
     return restore
 
 
+_SHOWN = {
+    code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\t\n"
+}
+"""Control characters, which a terminal would obey, as their numbers."""
+
+
+class _Escaped(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        return super().format(record).translate(_SHOWN)
+
+
 def log_to(folder: Path) -> Path | None:
     """Write the log to a rotating file in ``folder``; None if it cannot be written."""
     path = folder / "app.log"
@@ -142,7 +153,7 @@ def log_to(folder: Path) -> Path | None:
         log.warning("no log file: %s", error)
         return None
     handler.addFilter(Repeats())
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    handler.setFormatter(_Escaped("%(asctime)s %(levelname)s %(message)s"))
     log.addHandler(handler)
     log.setLevel(logging.INFO)
     log.propagate = False

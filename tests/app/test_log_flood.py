@@ -84,3 +84,9 @@ def test_errors_that_are_never_the_same_fill_no_disk(folder: Path) -> None:
     assert (folder / "app.log").read_text().count("error 2499") == 1
     (repeats,) = [f for h in log.handlers for f in h.filters if isinstance(f, Repeats)]
     assert len(repeats._seen) == KEPT
+
+
+def test_what_a_terminal_would_obey_is_written_as_its_number(folder: Path) -> None:
+    log.error("piece %s", "\x1b[2Jcup\r\x07 \u00e4")
+    (text,) = [path.read_text() for path in folder.iterdir()]
+    assert text.endswith("piece \\x1b[2Jcup\\x0d\\x07 \u00e4\n")

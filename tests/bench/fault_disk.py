@@ -1,4 +1,4 @@
-"""Disks that refuse the first call of a kind, the second, and so on, until a run meets none.
+"""Disks that refuse the first call of a kind, the second, and so on; a lock that is held.
 
 As a program (a folder as its argument) it is the recorder whose calls a preloaded library refuses:
 those of the catalogue's own library, too.
@@ -13,12 +13,13 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.values import Label
-from backend.core.faults import TouchdownError
+from backend.core.faults import FaultError, TouchdownError
 from tests.backend.catalogue.conftest import context_for, small_episode
 from tests.backend.catalogue.crash_trials import Known, forked, told, verify
 from tests.bench.registry import Figure, figure
@@ -26,6 +27,15 @@ from tests.bench.registry import Figure, figure
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = Path(__file__).with_name("disk_refusals.c")
 KINDS = ("synchronising", "writing", "writing half", "renaming", "creating")
+HELD_S = (0.1, 1.0, 10.0)
+HOLD = """
+import sqlite3, sys, time
+other = sqlite3.connect(sys.argv[1], isolation_level=None)
+other.execute("BEGIN IMMEDIATE")
+print("held", flush=True)
+time.sleep(float(sys.argv[2]))
+other.execute("ROLLBACK")
+"""
 EPISODES, LIMIT = 2, 400
 """Recorded after the refusal was armed; more calls of a kind than these are not looked at."""
 
@@ -54,6 +64,44 @@ def disks_that_refuse() -> list[Figure]:
     said = ", ".join(f"{counts[kind]} x {kind}" for kind in KINDS)
     told_all = f"{sum(counts.values())} refusals: {said}" + "".join(f"; {w}" for w in wrong[:3])
     return [Figure(name, len(wrong), "", "0", ok, told_all)]
+
+
+@figure("faults")
+def catalogues_that_are_locked() -> list[Figure]:
+    """Another process holds the lock for 0.1, 1 and 10 s while episodes are recorded."""
+    known, refused, slowest_s, wrong = Known(), list[str](), 0.0, list[str]()
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name) / "data"
+        with Dataset.open(place, person="cleo") as dataset:
+            context = context_for(dataset)
+            for number, held_s in enumerate(HELD_S):
+                holding = [sys.executable, "-c", HOLD, str(dataset.database.path), str(held_s)]
+                with subprocess.Popen(holding, stdout=subprocess.PIPE, text=True) as other:
+                    assert other.stdout is not None
+                    other.stdout.readline()
+                    begun_s = time.monotonic()
+                    try:
+                        entry = dataset.record(
+                            small_episode(seed=number), Label(number, -number, 0, 9),
+                            source="commanded", context=context,
+                        )  # fmt: skip
+                        known.take(f"episode {entry.uuid} {number} -")
+                    except FaultError as error:
+                        slowest_s = max(slowest_s, time.monotonic() - begun_s)
+                        refused.append(f"{held_s:g} s: {error.fault.code}")
+                # Once it is let go, the same is done.
+                entry = dataset.record(
+                    small_episode(seed=90 + number), Label(1, 1, 0, 9), source="commanded",
+                    context=context,
+                )  # fmt: skip
+                known.take(f"episode {entry.uuid} {90 + number} -")
+                revision = dataset.labels.set("ann", entry.uuid, Label(number, 0, 0, 9))
+                known.take(f"label {entry.uuid} {number} {revision.rev_uuid}")
+        wrong += verify(place, known)
+    ok = not wrong and refused == ["10 s: CATALOGUE-BUSY"] and slowest_s < 3.0
+    told = f"{len(wrong)} lost, {len(known.episodes)} recorded; refused: {', '.join(refused)}"
+    name = "catalogue locked by another process for 0.1, 1, 10 s: refused after"
+    return [Figure(name, slowest_s, "s", "2, at 10 s alone, none lost", ok, told)]
 
 
 def _scenario(place: Path, kind: int, nth: int, tell: Callable[[str], None]) -> None:

@@ -48,6 +48,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.fault_controller",
     "tests.bench.fault_contact",
     "tests.bench.fault_disk",
+    "tests.bench.fault_memory",
     "tests.bench.fault_data",
     "tests.bench.fault_workers",
     "tests.bench.fault_raising",

@@ -1,0 +1,69 @@
+"""A training whose memory ends, or that is killed: told, and resumed to its end."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import psutil
+
+from backend.config.method import TrainingSettings
+from backend.core.faults import FaultError
+from backend.learning.checkpoint import load_checkpoint
+from backend.learning.child import TrainingProcess
+from backend.learning.job import Epoch, TrainingJob
+from tests.app.tiny_packs import write_tiny_packs
+from tests.bench.registry import Figure, figure
+
+EPOCHS = 6
+ROOM_BYTES = 65_536
+"""What a training may still take once its limit is set: less than a batch needs."""
+
+
+def _out_of_memory(number: int) -> None:
+    taken = psutil.Process(number).memory_info().vms
+    resource.prlimit(number, resource.RLIMIT_AS, (taken // 2, taken // 2))
+    resource.prlimit(number, resource.RLIMIT_DATA, (ROOM_BYTES, ROOM_BYTES))
+
+
+def _killed(number: int) -> None:
+    os.kill(number, signal.SIGKILL)
+
+
+WAYS: dict[str, Callable[[int], None]] = {"no memory left": _out_of_memory, "killed": _killed}
+
+
+@figure("faults")
+def trainings_without_memory() -> list[Figure]:
+    """The limit of a training's memory is reached, or the system kills it; then it is resumed."""
+    broken, said = list[str](), list[str]()
+    for way, strike in WAYS.items():
+        with tempfile.TemporaryDirectory() as name:
+            data, out = Path(name) / "packs", Path(name) / "pot.safetensors"
+            data.mkdir()
+            write_tiny_packs(data)
+            settings = TrainingSettings(hidden=256, layers=2, epochs=EPOCHS, batch=8)
+            job = TrainingJob(data=data, piece="pot", out=out, settings=settings)
+            epochs, code = 0, ""
+            try:
+                with TrainingProcess(job) as training:
+                    for report in training.reports():
+                        epochs += isinstance(report, Epoch)
+                        if epochs == 1 and isinstance(report, Epoch):
+                            strike(training.number)
+            except FaultError as error:
+                code = error.fault.code
+                said.append(error.fault.what)
+            if code != "TRAINING-DIED" or out.exists():
+                broken.append(f"{way}: {code or 'not told'} after {epochs} epochs")
+            with TrainingProcess(job.model_copy(update={"resume": True})) as training:
+                more = sum(isinstance(report, Epoch) for report in training.reports())
+            if not 0 < more < EPOCHS or load_checkpoint(out).card.piece != "pot":
+                broken.append(f"{way}: resumed with {more} epochs")
+    told = "; ".join([*broken, *said])
+    name = "trainings without memory or killed: not told, or not resumed"
+    return [Figure(name, len(broken), f"of {len(WAYS)}", "0", not broken, told)]

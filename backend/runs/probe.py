@@ -16,7 +16,7 @@ from backend.runs import words
 from backend.runs.again import again_if_void
 from backend.runs.bench import Bench
 from backend.runs.judged import Felt
-from backend.runs.motions import lift, zero_sensors
+from backend.runs.motions import go, lift, zero_sensors
 from backend.runs.plan import Plan, Waiting
 from backend.runs.room import durable
 from backend.sensing.episode import assemble
@@ -75,7 +75,13 @@ def _press(bench: Bench, probe: int, offset_mm: FloatArray | None, *, decides: b
     if motion.onset_s is not None:
         yield PhaseEntered(bench.now_s(), "press", probe)
     yield Waiting(lambda: motion.done, limit_s, "the press to end")
-    motion.result()
+    try:
+        motion.result()
+    except FaultError as cause:
+        if cause.fault.code == "NO-CONTACT":
+            # It stands lower than it should ever be: back to where the press began.
+            yield from go(bench, here, "the arm to go back up")
+        raise
     onset_s = motion.onset_s
     if onset_s is None:
         raise FaultError(

@@ -128,8 +128,8 @@ class InlineLink:
 class InlineBench:
     """Holds the session; ``links`` are those of its scenes."""
 
-    def __init__(self):
-        self._settings, self._method = SimulatedBenchChoice().settings(), StackSettings()
+    def __init__(self, method=None):
+        self._settings, self._method = SimulatedBenchChoice().settings(), method or StackSettings()
         self._catalogue, facts = load_catalogue(None), simulated_facts(self._settings)
         self._models = Models(None, facts, self._method.belief.pitch_mm)
         self.links, self._ends = [], ExitStack()

@@ -131,6 +131,10 @@ def test_gives_up_after_max_probes_and_never_opens_the_gripper() -> None:
     assert not bench.of(Released)
 
 
+def height_mm(bench: OracleSession) -> float:
+    return bench.benches[-1].arm.pose(1.0).z_mm
+
+
 def test_without_contact_only_a_strategy_that_asks_for_it_presses_elsewhere() -> None:
     above = brisk_method().probe.model_copy(update={"max_travel_mm": 0.01, "start_height_mm": 3.0})
     changes = {"probe": above, "policy": PolicySettings(max_probes=2)}
@@ -141,7 +145,10 @@ def test_without_contact_only_a_strategy_that_asks_for_it_presses_elsewhere() ->
     assert moved.count("approach") == 2
     assert moved.count("shift") == 1
     assert bench.benches[-1].gripper.status().holding
+    began_mm: list[float] = []
+    after(bench, PhaseEntered, "approach", lambda: began_mm.append(height_mm(bench)))
     bench.session.run(request())
+    assert height_mm(bench) == pytest.approx(began_mm[0], abs=0.05)
     assert last_trial(bench).outcome is Outcome.ABORTED
     assert "NO-CONTACT" in [
         f.fault.code for f in bench.of(FaultRaised) if isinstance(f, FaultRaised)

@@ -63,7 +63,8 @@ class EmulatedBench:
         self._clock = BenchClock()
         facts = simulated_facts(self._settings)
         self._models = Models(registry, facts, self._method.belief.pitch_mm)
-        self._present, self._process = ExitStack(), EmulatedProcess()
+        self._present = ExitStack()
+        self._process = EmulatedProcess(lambda fault: self.session.interlock.raise_fault(fault))
         self.session = Session(
             self._make_stage,
             self._check,
@@ -82,6 +83,7 @@ class EmulatedBench:
 
     def close(self) -> None:
         """End the run, disconnect the drivers, then take the emulated devices away."""
+        self._process.end_if_still()
         self.session.close()
         self._present.close()
         self._process.close()

@@ -9,6 +9,9 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import threading
+import time
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -17,6 +20,7 @@ from typing import IO, Any
 from backend.assembly import make_scene
 from backend.config.simulation import SimulationSettings
 from backend.core.faults import Fault, FaultError
+from backend.core.standstill import Standstill
 from backend.emulators.faults import FaultPlan
 from backend.emulators.front import TcpFront
 from backend.emulators.joined_serving import serve_bench, take_short_turns
@@ -25,13 +29,20 @@ from backend.objects.catalogue import load_catalogue
 from backend.runs.requests import SceneChoice
 
 END_S = 1.5
+LOOK_S = 0.05
 
 
 class EmulatedProcess:
-    """Starts the process with the first scene; ``close`` ends it."""
+    """Starts the process with the first scene; ``close`` ends it.
 
-    def __init__(self) -> None:
+    ``tell`` hears at once, on a thread of its own, of a process that dies or stands still.
+    """
+
+    def __init__(self, tell: Callable[[Fault], None]) -> None:
         self._child: subprocess.Popen[str] | None = None
+        self._tell = tell
+        self._serving, self._over = threading.Event(), threading.Event()
+        self._still = False
 
     def set_scene(
         self,
@@ -45,6 +56,7 @@ class EmulatedProcess:
 
         Raises ``FaultError`` if the process has died.
         """
+        self._serving.clear()
         child = self._running()
         order = {
             "choice": asdict(choice),
@@ -63,11 +75,19 @@ class EmulatedProcess:
         answer = child.stdout.readline()
         if not answer:
             raise FaultError(GONE)
+        self._serving.set()
         host, port = json.loads(answer)
         return str(host), int(port)
 
+    def end_if_still(self) -> None:
+        """End a process that stands still now: nobody need wait for its devices any more."""
+        if self._still and self._child is not None:
+            self._over.set()
+            self._child.kill()
+
     def close(self) -> None:
         """End the process."""
+        self._over.set()
         child, self._child = self._child, None
         if child is None:
             return
@@ -89,7 +109,23 @@ class EmulatedProcess:
                 stdout=subprocess.PIPE,
                 text=True,
             )
+            name, self._over = "emulated bench watch", threading.Event()
+            threading.Thread(
+                target=self._watch, args=(self._child, self._over), name=name, daemon=True
+            ).start()
         return self._child
+
+    def _watch(self, child: subprocess.Popen[str], over: threading.Event) -> None:
+        watch = Standstill(child.pid)
+        while not over.wait(LOOK_S):
+            if child.poll() is not None:
+                self._tell(GONE)
+                return
+            # Between two scenes it waits for an order.
+            still = watch.look(time.monotonic()) and self._serving.is_set()
+            if still and not self._still:
+                self._tell(STILL)
+            self._still = still
 
 
 GONE = Fault(
@@ -97,6 +133,12 @@ GONE = Fault(
     "The process of the emulated bench has ended.",
     "All emulated devices are gone.",
     "Start anew; its last words are on standard error.",
+)
+STILL = Fault(
+    "BENCH-STILL",
+    "The process of the emulated bench stands still: nothing in it wants to run.",
+    "All emulated devices are silent.",
+    "Let it go on, or start anew.",
 )
 
 

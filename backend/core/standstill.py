@@ -13,6 +13,8 @@ import psutil  # type: ignore[import-untyped]
 
 STILL_S = 0.3
 """So long nothing in it may want to run before it is called still."""
+AWAY_S = 1.0
+"""Who has not looked for so long stood still as well: with the whole computer, say."""
 WANTS = frozenset("RDW")
 
 
@@ -22,7 +24,7 @@ class Standstill:
     def __init__(self, number: int) -> None:
         self._folder = Path("/proc") / str(number) / "task"
         self._process = psutil.Process(number)
-        self._used_s, self._since_s = -1.0, 0.0
+        self._used_s, self._since_s, self._looked_s = -1.0, 0.0, 0.0
 
     def look(self, now_s: float) -> bool:
         """Return whether it stands still at ``now_s``, of a clock that goes on; False once gone."""
@@ -32,7 +34,8 @@ class Standstill:
         except psutil.Error:
             return False
         used_s = used.user + used.system
-        if used_s != self._used_s or not states or states & WANTS:
+        away, self._looked_s = now_s - self._looked_s > AWAY_S, now_s
+        if away or used_s != self._used_s or not states or states & WANTS:
             self._used_s, self._since_s = used_s, now_s
             return False
         return now_s - self._since_s >= STILL_S

@@ -11,15 +11,18 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import IO
 
 from backend.core.faults import InputError
+from backend.core.standstill import Standstill
 from backend.exchange.foreign_episode import ForeignEpisode, load
 
 DEADLINE_S = 60.0
 """So long may one episode take; the first one includes opening the file."""
+LOOK_S = 0.05
 
 
 def read_foreign(
@@ -43,7 +46,7 @@ def read_foreign(
         listener = threading.Thread(target=_listen, args=(child.stdout, lines), daemon=True)
         listener.start()
         try:
-            if not (yield from _episodes(lines, source, deadline_s)):
+            if not (yield from _episodes(lines, source, Waiting(child.pid, source, deadline_s))):
                 raise _crashed(source, said)
         finally:
             child.kill()
@@ -58,19 +61,39 @@ def _listen(stream: IO[bytes], lines: queue.Queue[bytes]) -> None:
     lines.put(b"")
 
 
+class Waiting:
+    """Waits for a line of the reader ``number``, as long as it does something."""
+
+    def __init__(self, number: int, source: Path, deadline_s: float) -> None:
+        self._watch, self._source, self._deadline_s = Standstill(number), source, deadline_s
+
+    def line(self, lines: queue.Queue[bytes]) -> bytes:
+        """Return the next one; raises ``InputError``."""
+        end_s = time.monotonic() + self._deadline_s
+        while True:
+            left_s = end_s - time.monotonic()
+            try:
+                return lines.get(timeout=max(min(LOOK_S, left_s), 0.0))
+            except queue.Empty:
+                if left_s <= 0.0:
+                    what = f"was not read within {self._deadline_s:g} s and was given up"
+                elif self._watch.look(time.monotonic()):
+                    what = "was given up: its reader stands still, nothing in it wants to run"
+                else:
+                    continue
+            raise InputError(
+                f"The file {what}.",
+                str(self._source),
+                "It is damaged or far too large; use another copy.",
+            )
+
+
 def _episodes(
-    lines: queue.Queue[bytes], source: Path, deadline_s: float
+    lines: queue.Queue[bytes], source: Path, waiting: Waiting
 ) -> Generator[ForeignEpisode, None, bool]:
     """Yield the episodes; return whether the reader came to the end."""
     while True:
-        try:
-            line = lines.get(timeout=deadline_s)
-        except queue.Empty:
-            raise InputError(
-                f"The file was not read within {deadline_s:g} s and was given up.",
-                str(source),
-                "It is damaged or far too large; use another copy.",
-            ) from None
+        line = waiting.line(lines)
         answer: dict[str, str] = json.loads(line) if line.endswith(b"\n") else {}
         if "episode" in answer:
             path = Path(answer["episode"])

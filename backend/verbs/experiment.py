@@ -188,7 +188,7 @@ def _done(
     done = 0
     with screen.progress(f"{len(part)} jobs", effort) as advance:
         by_id = {spec.id: spec for spec in part}
-        for result in run_campaign(part, _executor(args, store), store):
+        for result in run_campaign(part, _executor(args, store, screen.say), store):
             done += effort_of(by_id[result.id])
             advance(done, _name(by_id[result.id]))
             if result.state == "failed":
@@ -293,7 +293,7 @@ def _recipe(args: argparse.Namespace, store: JobStore) -> Recipe:
     return Recipe(scale, bench, program_version(), models, pieces, args.device)
 
 
-def _executor(args: argparse.Namespace, store: JobStore) -> Executor:
+def _executor(args: argparse.Namespace, store: JobStore, tell: Callable[[str], None]) -> Executor:
     from backend.experiments.kinds import KINDS
     from backend.jobs.cluster import DaskCluster
     from backend.jobs.executor import LocalPool, Serial
@@ -301,7 +301,7 @@ def _executor(args: argparse.Namespace, store: JobStore) -> Executor:
     if args.executor == "serial":
         return Serial(KINDS, store)
     if args.executor == "local":
-        return LocalPool(KINDS, store, args.workers)
+        return LocalPool(KINDS, store, args.workers, tell)
     if not args.cluster:
         raise InputError("The executor dask needs a scheduler.", "--cluster", "Give its address.")
     return DaskCluster.at(KINDS, store, args.cluster)

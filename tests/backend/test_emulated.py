@@ -20,6 +20,7 @@ from backend.emulators.joined_serving import BENCH_FILE
 from backend.emulators.truth import EmulatedTruth, RemoteTruth
 from backend.objects.catalogue import load_catalogue
 from backend.runs.requests import SceneChoice
+from tests.backend.devices.waiting import until
 
 SETTINGS = SimulatedBenchChoice(preset="quiet").settings()
 CHOICE = SceneChoice("pot", ("short",), 3)
@@ -59,7 +60,10 @@ def test_the_truth_is_that_of_the_scene():
 
 def test_a_bench_whose_process_is_dead_is_a_fault(monkeypatch):
     monkeypatch.setattr("backend.emulated_child.sys.executable", "/bin/true")
-    process = EmulatedProcess()
+    told = []
+    process = EmulatedProcess(told.append)
     with pytest.raises(FaultError, match="has ended"):
         process.set_scene(CHOICE, SETTINGS, FaultPlan(), Path("nowhere"))
+    until(lambda: told)
     process.close()
+    assert [fault.code for fault in told] == ["BENCH-GONE"]

@@ -52,6 +52,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.fault_memory",
     "tests.bench.fault_data",
     "tests.bench.fault_workers",
+    "tests.bench.fault_children",
     "tests.bench.fault_raising",
     "tests.bench.fault_lease",
     "tests.bench.fault_blocked_camera",

@@ -40,6 +40,7 @@ def test_one_that_waits_for_ever_stands_still_and_a_gone_one_does_not(child):
     watch = Standstill(child.pid)
     assert not watch.look(0.0), "a first look knows nothing"
     assert looks(watch, True)
+    assert not watch.look(1e8), "who has not looked for long knows nothing either"
     child.kill()
     child.wait()
     assert not watch.look(1e9)

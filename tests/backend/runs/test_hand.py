@@ -104,6 +104,23 @@ def test_a_frozen_window_stops_the_arm_within_the_lease(high):
     assert not high.hand.active
 
 
+@pytest.mark.parametrize("speed", [5.0, 50.0])
+def test_no_order_of_a_jog_outlasts_its_lease(high, monkeypatch, speed):
+    """Braking at 500 mm/s2 included: a bench that hangs as well cannot end what was ordered."""
+    ends_s, arm = [], high._scene.stage.arm
+    jog = arm.jog
+
+    def noted(velocity_mm_s, for_s, *turning):
+        ends_s.append(high.clock_s() + for_s)
+        return jog(velocity_mm_s, for_s, *turning)
+
+    monkeypatch.setattr(arm, "jog", noted)
+    sent_s = hold(high, 0.3, speed=speed)
+    for _ in range(round(LEASE_S / STEP_S) + 1):
+        high.advance()
+    assert sent_s + 0.1 < max(ends_s) <= sent_s + LEASE_S - speed / 500.0
+
+
 def test_a_bench_that_falls_behind_stops_by_the_wall_clock(high, monkeypatch):
     """At a tenth of real time 250 ms of the bench would be 2.5 s of the operator's."""
     wall = [0.0]

@@ -67,20 +67,21 @@ def test_no_order_with_a_senseless_number_moves_anything(rig):
     assert rig.arm.describe()["z_mm"] == before
 
 
-def test_no_right_with_a_senseless_number_lets_go():
+def test_no_right_with_a_senseless_number_or_without_a_condition_lets_go():
     rng, numbers = random.Random(2), [f.name for f in fields(TOLD) if f.type == "float"]
     felt = ["press_n", "wrench_age_s", "moved_mm", "width_change_mm"]
+    conditions = [f.name for f in fields(TOLD) if f.type == "bool"]
     # What only makes the condition easier to meet, or a wider limit, is no number out of sense.
     harmless = {"margin_mm": {1e308}, "required_margin_mm": {-math.inf, -1e308},
                 "wrench_age_limit_s": {math.inf, 1e308}}  # fmt: skip
     for _ in range(CASES):
         bad, told, measured = rng.choice(SENSELESS), TOLD, MEASURED
-        name = rng.choice([*numbers, *felt])
+        name = rng.choice([*numbers, *felt, *conditions])
         if bad in harmless.get(name, ()):
             continue
         if name in felt and rng.random() < 0.5:
             measured = replace(MEASURED, **{name: bad})
         else:
-            told = replace(TOLD, **{name: bad})
+            told = replace(TOLD, **{name: False if name in conditions else bad})
         with pytest.raises(RefusedError):
             refuse_opening(told, measured)

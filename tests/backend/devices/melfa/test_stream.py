@@ -236,11 +236,19 @@ def test_a_driver_that_was_stopped_for_long_makes_nothing_up(rig):
     rig.rest(0.5)
     before = len(rig.wires.packets)
     rig.wires.stalled = True
-    rig.rest(0.15)
+    rig.rest(5.0)
     rig.wires.stalled = False
-    rig.rest(0.1)
-    assert rig.arm.fault.code == "MXT-LOST"
+    rig.rest(0.3)
+    assert rig.arm.state is DeviceState.FAULT
+    # After 57 cycles the controller has ended it by itself: its own reason is told.
+    assert rig.arm.fault.code == "CONTROLLER"
     assert {request.command for _, request in requests(rig, before)} == {Command.END}
+    rig.arm.close()
+    rig.device.controller.reset_error()
+    here_mm, since = rig.true_mm, len(rig.wires.packets)
+    rig.arm.connect(1.0, threading.Event())
+    rig.rest(0.1)
+    assert np.abs(places(rig, since) - here_mm).max() < 0.01
 
 
 def test_a_press_is_void_after_a_hold(rig):

@@ -37,10 +37,14 @@ from backend.session import Keep, Session
 
 @dataclass(frozen=True, slots=True)
 class LabChoice:
-    """Which lab, by its file; ``pieces``: folder with further piece files."""
+    """Which lab, by its file; ``pieces``: folder with further piece files.
+
+    ``any_gels``: connect also other gels than were calibrated, to calibrate them.
+    """
 
     file: Path
     pieces: Path | None = None
+    any_gels: bool = False
 
 
 def lab_session(
@@ -61,7 +65,7 @@ def lab_session(
         bench.make_stage, bench.check, catalogue,
         settings=method, keep=keep or Keep(), facts=lab.facts,
     )  # fmt: skip
-    bench.wire(session)
+    bench.wire(session, any_gels=choice.any_gels)
     return session
 
 
@@ -96,7 +100,7 @@ class _LabBench:
             first = SceneChoice(first.piece, first.bottoms, estimates=False)
         self._first = first
 
-    def wire(self, session: Session) -> None:
+    def wire(self, session: Session, *, any_gels: bool) -> None:
         """Make the drivers on the streams of ``session``."""
         raw, settings = session.raw, self._lab.settings
         self._wired = wired = WiredDevices(
@@ -114,7 +118,7 @@ class _LabBench:
 
         connection.when_ready = set_first
         session.calibrations = store = calibrations_of(self._lab)
-        connection.prove = GelCheck(store, wired.devices, raw.frames).prove
+        connection.prove = GelCheck(None if any_gels else store, wired.devices, raw.frames).prove
         limits = Limits(**settings.limits.model_dump())
         session.join(connection, settings.name, limits, str(self._lab.path))
 

@@ -23,18 +23,18 @@ WAIT_S, LOOK_S = 3.0, 0.02
 """A camera has so long for its pictures, looked for so often."""
 FEWEST = 3
 UNUSED = "The connection was closed again; nothing was moved."
-AGAIN = "If it was changed on purpose, calibrate the cameras again."
 
 
 class GelCheck:
-    """Of one bench: ``store`` has the fingerprints, ``frames`` what the cameras send.
+    """Of one bench: ``store`` has the fingerprints (None: any 7 x 9 gel will do), ``frames``
+    what the cameras send.
 
     ``pause`` lets ``LOOK_S`` pass, or ends it at once where connecting was cancelled.
     """
 
     def __init__(
         self,
-        store: CalibrationStore,
+        store: CalibrationStore | None,
         devices: Mapping[str, Device],
         frames: Mapping[Finger, Stream[TactileFrame]],
         pause: Callable[[threading.Event], object] = lambda cancel: cancel.wait(LOOK_S),
@@ -91,10 +91,14 @@ class GelCheck:
             f"The {finger} finger has another gel than when the cameras were calibrated: its dots "
             f"rest {far} from where they did (rms, limit {limit_px:g})."
         )
-        raise _fault("GEL-OTHER", name, what, _next_step(name, owner, mirror))
+        again = "" if self._store is None else self._store.command("camera")
+        on_purpose = f"If it was changed on purpose, run '{again}'."
+        raise _fault("GEL-OTHER", name, what, f"{_next_step(name, owner, mirror)} {on_purpose}")
 
     def _known(self) -> dict[str, FloatArray]:
         """Return the fingerprints of the raw pictures, by camera; none where they are of others."""
+        if self._store is None:
+            return {}
         standing = self._store.standing("camera", device_names(self._devices))
         record: Record | None = standing.record
         if record is None or standing.condition not in ("valid", "expired"):
@@ -116,10 +120,10 @@ def _next_step(name: str, owner: str, mirror: str) -> str:
     """Return what to do, by what the picture is like."""
     if owner and owner != name:
         other = owner.removeprefix("tactile_")
-        return f"It is the gel of the {other} finger: put the two back. {AGAIN}"
+        return f"It is the gel of the {other} finger: put the two back."
     if owner:
-        return f"The picture is mirrored in {AXES[mirror]}: look at the settings. {AGAIN}"
-    return f"Have gels or sensors been exchanged? Put the right one back. {AGAIN}"
+        return f"The picture is mirrored in {AXES[mirror]}: look at the settings."
+    return "Have gels or sensors been exchanged? Put the right one back."
 
 
 def _unseen(name: str) -> FaultError:

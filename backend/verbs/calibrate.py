@@ -255,7 +255,8 @@ def _session(args: argparse.Namespace, screen: Screen) -> Iterator[Session]:
     if args.bench is not None and is_lab_file(Path(args.bench)):
         from backend.lab import LabChoice
 
-        choice = LabChoice(Path(args.bench))
+        # Gels that were changed on purpose must be connected to be calibrated.
+        choice = LabChoice(Path(args.bench), any_gels=args.what == "camera")
         home, override = args.home, args.override
         with lab_bench(choice, keep, None, screen, home=home, override=override) as session:
             session.calibrations = store

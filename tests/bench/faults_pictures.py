@@ -199,14 +199,14 @@ class _Plugged:
         self._front.inject(kind, for_s)
         before = stream.count
         self._connection.begin(tuple(self._connection.devices))
-        self._connection.wait(20.0)
+        self._connection.wait()
         return self._connection.lines()[0].fault, stream.since(before)[0]
 
     def fade(self) -> Fault | None:
         """Let the lamps go out in the middle; return what is told within 8 s."""
         self._front.faults.clear()
         self._connection.begin(tuple(self._connection.devices))
-        self._connection.wait(20.0)
+        self._connection.wait()
         self._front.inject("fade")
         end_s, pause = time.monotonic() + 8.0, threading.Event()
         while self._camera.fault is None and time.monotonic() < end_s:

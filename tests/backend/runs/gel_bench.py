@@ -65,9 +65,8 @@ class GelBench:
             self.devices[f"tactile_{finger}"].describe = lambda: {"mirror": self.mirror}
         self.devices["gripper"].status = lambda: GripStatus(20.0, 0.0, holding=self.holding)
         self.connection = Connection(self.devices)
-        self.connection.prove = GelCheck(
-            self.store, self.devices, self.frames, lambda cancel: self.shoot()
-        ).prove
+        self.check = GelCheck(self.store, self.devices, self.frames, lambda cancel: self.shoot())
+        self.connection.prove = self.check.prove
 
     def shoot(self) -> None:
         """Let each camera send one picture."""

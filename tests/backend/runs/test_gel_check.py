@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from backend.emulators.gel_pictures import other_gel, small_dots
+from backend.runs.gel_check import GelCheck
 from tests.backend.runs.gel_bench import LOOKS, Gel, GelBench
 
 FINE = {finger: Gel(look, 3 + seed) for seed, (finger, look) in enumerate(LOOKS.items())}
@@ -50,7 +51,13 @@ def test_one_other_gel_or_one_turned_round_is_refused_and_the_other_camera_stays
     found = bench.faults()
     assert list(found) == ["tactile_left"]
     assert "exchanged" in found["tactile_left"].next_step
-    assert "calibrate the cameras again" in found["tactile_left"].next_step
+    assert "run 'touchdown calibrate camera --accept'" in found["tactile_left"].next_step
+    # To follow that, any gel of the right grid can be connected.
+    bench.connection.prove = GelCheck(
+        None, bench.devices, bench.frames, lambda cancel: bench.shoot()
+    ).prove
+    assert bench.connect() == {}
+    bench.connection.prove = bench.check.prove
     turned = LEFT.rest_px.reshape(7, 9, 2)[::-1] * [1, -1] + [0, 239]
     bench.gels = {**FINE, "left": drawn(turned)}
     assert "mirrored in y" in bench.faults()["tactile_left"].next_step

@@ -36,8 +36,8 @@ __all__ = ["STEPS_DEG", "STEPS_MM", "Around", "Jog", "JogOrder", "JogState"]
 
 STEPS_MM = (0.1, 0.5, 1.0, 5.0)
 STEPS_DEG = (0.5, 1.0, 5.0)
-SETTLE_S = 0.03
-"""From a command to the arm that stands: the wires, and the lag of its servos."""
+SETTLE_S = 0.05
+"""From a command to the arm that stands: wires that are late, and the lag of its servos."""
 LATE_S = 0.1
 """A bench that is not served for so long has no computer to itself."""
 

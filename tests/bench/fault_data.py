@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import random
 import struct
 import tempfile
@@ -23,11 +21,10 @@ from backend.core.facts import Fact, FaultRaised, PhaseEntered
 from backend.core.faults import InputError, TouchdownError
 from backend.dataset.episode_file import write_episode
 from backend.dataset.episode_reading import read_episode
-from backend.learning.checkpoint import Card, Sizes, card_path, load_checkpoint, save_checkpoint
-from backend.learning.model import new_model
-from backend.learning.shape import ARCH, Shape
+from backend.learning.checkpoint import load_checkpoint
 from tests.backend.catalogue.test_salvage import an_episode, mutants, record_ends
 from tests.backend.devices.trials import Ended
+from tests.backend.learning.test_checkpoint import reseal, save_small
 from tests.backend.runs.test_collect_faults import Failing
 from tests.bench.registry import Figure, figure
 
@@ -82,17 +79,8 @@ def hostile_models() -> list[Figure]:
     for name, spoil in _SPOILT.items():
         with tempfile.TemporaryDirectory() as folder:
             path, witness = Path(folder) / "pot.safetensors", Path(folder) / "ran"
-            model = new_model(Shape(6, 8, 2, 5), 4)
-            card = Card(
-                arch=ARCH, hyper=Sizes(inputs=6, hidden=8, layers=2, points=5), modality="FT",
-                piece="pot", geometry="ab" * 32, base_rate=0.3, seed=4, program_version="0.1.0",
-                weights_sha256="",
-            )  # fmt: skip
-            save_checkpoint(path, model.arrays(), card)
-            spoil(path, witness, model.arrays())
-            told = json.loads(card_path(path).read_text())
-            told["weights_sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
-            card_path(path).write_text(json.dumps(told))
+            spoil(path, witness, save_small(path))
+            reseal(path)
             begun_s = time.process_time()
             try:
                 load_checkpoint(path)

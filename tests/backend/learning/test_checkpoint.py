@@ -24,9 +24,8 @@ from backend.learning.model import network, new_model
 from backend.learning.shape import ARCH, Shape, expected_arrays
 
 
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    path = tmp_path / "pot.safetensors"
+def save_small(path: Path) -> dict[str, np.ndarray]:
+    """Save a small new model with its card; return its arrays."""
     model = new_model(Shape(6, 8, 2, 5), 4)
     card = Card(
         arch=ARCH, hyper=Sizes(inputs=6, hidden=8, layers=2, points=5), modality="FT",
@@ -34,6 +33,13 @@ def path(tmp_path: Path) -> Path:
         weights_sha256="",
     )  # fmt: skip
     save_checkpoint(path, model.arrays(), card)
+    return model.arrays()
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "pot.safetensors"
+    save_small(path)
     return path
 
 

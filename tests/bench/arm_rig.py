@@ -76,12 +76,12 @@ def killed_rig() -> list[Figure]:
     with served() as bench:
         backend = Backend(bench.settings)
         # The controller ends a stream by itself; the tests give it longer than any stall.
-        controller = bench.arm._device.controller
-        bench.arm._device.stream._settings = melfa_settings(mxt={"mxttout": OWN_CYCLES})
+        controller, stream = bench.arm._device.controller, bench.arm._device.stream
+        patient, strict = stream._settings, melfa_settings(mxt={"mxttout": OWN_CYCLES})
         try:
             for kill in range(KILLS):
                 backend.moving()
-                number = backend.link.hello["pid"]
+                number, stream._settings = backend.link.hello["pid"], strict
                 killed_s = time.monotonic()
                 os.kill(number, (signal.SIGKILL, signal.SIGSEGV)[kill % 2])
                 until(lambda: backend.interlock.latched)
@@ -91,6 +91,7 @@ def killed_rig() -> list[Figure]:
                 threading.Event().wait(0.05)
                 moved += bool(np.abs(controller.joints.true_rad - height_mm).max() > 1e-6)
                 again += backend.link.hello["pid"] != number
+                stream._settings = patient
                 backend.disconnect()
                 backend.interlock.reset()
                 controller.reset_error()

@@ -1,0 +1,63 @@
+"""Twenty frames in a row whose checksum is wrong end the connection of a wrist sensor."""
+
+import threading
+import time
+
+import pytest
+
+from backend.config.hardware import ForceTorqueSettings, HardwareSettings
+from backend.devices.force_torque.language import Greeting
+from backend.devices.force_torque.leptrino import LeptrinoLanguage
+from backend.devices.force_torque.reader import BAD_LIMIT, ForceTorqueReader
+from backend.devices.protocols import DeviceState, Identity
+from backend.wire import leptrino
+from backend.wire.leptrino import Command, Sample
+from tests.backend.devices.waiting import until
+
+GOOD = [leptrino.encode(Sample(Command.START, (number, 2, 3, 4, 5, 6), 0)) for number in range(2)]
+BAD = GOOD[0][:-1] + bytes([GOOD[0][-1] ^ 1])
+
+
+class Line:
+    """Gives what was put into it, and nothing while that is empty."""
+
+    def __init__(self):
+        self.waiting = [GOOD[0]]
+
+    def read(self, limit_s):
+        threading.Event().wait(0.001)
+        return self.waiting.pop(0) if self.waiting else b""
+
+    def write(self, data):
+        pass
+
+    def drain(self):
+        pass
+
+    def close(self):
+        pass
+
+
+class Started(LeptrinoLanguage):
+    def start(self, link, cancel):
+        self._rated = (100.0,) * 6
+        return Greeting(Identity("a", "b", "c", ""), self._rated, 0.001)
+
+
+@pytest.mark.parametrize(("count", "ends"), [(BAD_LIMIT - 1, False), (BAD_LIMIT, True)])
+def test_twenty_refused_frames_in_a_row_are_a_lost_link(count, ends):
+    line = Line()
+    settings = ForceTorqueSettings(driver="leptrino", silence_s=60.0)
+    reader = ForceTorqueReader(
+        lambda: Started(HardwareSettings(), ""), lambda _: line, settings, time.monotonic
+    )
+    reader.connect(5.0, threading.Event())
+    line.waiting += [BAD * count, GOOD[1], GOOD[0]]
+    until(lambda: not line.waiting or reader.state is DeviceState.FAULT)
+    if ends:
+        until(lambda: reader.state is DeviceState.FAULT)
+        assert "nothing that can be read" in reader.fault.what
+    else:
+        until(lambda: reader.health.received == 3)
+        assert reader.state is DeviceState.READY
+    reader.close()

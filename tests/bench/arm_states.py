@@ -349,7 +349,7 @@ TROUBLED: Mapping[str, State] = {
 
 
 def pressed_in(bench: Bench, name: str, state: State) -> tuple[float, list[str]]:
-    """Reach a state, press STOP; return s to the wire and what does not hold."""
+    """Reach a state, press STOP; return s to the wire (NaN: not reached) and what fails."""
     for _ in range(TRIES):
         try:
             state.reach(bench)
@@ -361,7 +361,7 @@ def pressed_in(bench: Bench, name: str, state: State) -> tuple[float, list[str]]
         else:
             break
     else:
-        return float("inf"), [f"{name}: never reached"]
+        return float("nan"), [f"{name}: never reached"]
     pressed_s = bench.stop()
     took_s = bench.wire_s(pressed_s) if state.wired else 0.0
     rows = {"goes on": bench.stands(), "not latched": bench.backend.interlock.latched}

@@ -37,7 +37,8 @@ class GripWatch:
     def __init__(self, gripper: Gripper | None = None) -> None:
         self._gripper = gripper
         # Asked once: in every step it takes as long as the rest of the watch.
-        self._ordered = gripper if isinstance(gripper, Ordered) else None
+        asked: object = gripper
+        self._ordered = asked if isinstance(asked, Ordered) else None
         self._grips = 0
         self._since_s: float | None = None
         self._width_mm = self._force_n = 0.0

@@ -9,6 +9,7 @@ import random
 import threading
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
@@ -24,6 +25,8 @@ PERIOD_S = 0.04
 SENT_BEFORE, SENT_DURING, SENT_AFTER = 5, 14, 6
 KINDS = ("frozen", "stuttering", "dark", "cut", "zeroed", "lost", "silent", "unplug", "burst")
 SETTINGS = GelsightSettings(crop_fraction=0.0, silence_s=0.3, right={"file": "a pipe"})
+PLUGGED = Path(__file__)
+"""A node that is there; who pulls the plug is told by the source."""
 CODES = {"frozen": "CAMERA-FROZEN", "silent": "CAMERA-LINK", "unplug": "CAMERA-LINK"}
 """What the operator is told while it lasts."""
 
@@ -109,7 +112,7 @@ class CameraTrial:
             )
             source = camera._open_camera(camera.find(), SETTINGS)
             try:
-                camera._read(source, stop)
+                camera._read(source, PLUGGED, stop)
             except OSError as error:
                 camera._fail(_lost(camera.name, error))
                 camera.reopened += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 
@@ -21,6 +22,7 @@ from backend.runs.plan import Plan, Waiting
 from backend.runs.room import durable
 from backend.sensing.episode import assemble
 from backend.sensing.synchroniser import synchronise
+from backend.sensing.torsion_slip import TorsionSlip
 
 BEFORE_ONSET_S = 0.3
 AFTER_LAST_TICK_S = 0.08
@@ -69,12 +71,14 @@ def _press(bench: Bench, probe: int, offset_mm: FloatArray | None, *, decides: b
     yield from zero_sensors(bench, probe)
     yield PhaseEntered(bench.now_s(), "approach", probe)
     here = bench.arm.pose(max_age_s=0.2)
+    turning = TorsionSlip(bench.sensing.fields)
     motion = bench.arm.press(press_command(bench))
     limit_s = 60.0
     yield Waiting(lambda: motion.done or motion.onset_s is not None, limit_s, "contact")
     if motion.onset_s is not None:
         yield PhaseEntered(bench.now_s(), "press", probe)
-    yield Waiting(lambda: motion.done, limit_s, "the press to end")
+    yield Waiting(lambda: motion.done or turning.seen(), limit_s, "the press to end")
+    _refuse_turned(bench, turning)
     try:
         motion.result()
     except FaultError as cause:
@@ -96,13 +100,15 @@ def _press(bench: Bench, probe: int, offset_mm: FloatArray | None, *, decides: b
     yield PhaseEntered(bench.now_s(), "hold", probe)
     end_s = onset_s + SAMPLES_PER_PROBE * TICK_S + AFTER_LAST_TICK_S
     scene = scene_pictures(bench)
-    yield Waiting(lambda: bench.now_s() >= end_s - EARLY_S, 5.0, "the last ticks")
+    yield Waiting(lambda: bench.now_s() >= end_s - EARLY_S or turning.seen(), 5.0, "the last ticks")
+    _refuse_turned(bench, turning)
     so_far = bench.sensing.recording(onset_s - BEFORE_ONSET_S, bench.now_s())
     bench.estimator.prepare(synchronise(so_far, onset_s).observation()[:EARLY_TICKS])
     yield Waiting(lambda: bench.now_s() >= end_s - HUSH_S, 5.0, "the last frames")
     if decides:
         bench.hush.begin(LONGEST_HUSH_S)
     yield Waiting(lambda: bench.now_s() >= end_s, 5.0, "the last frames")
+    _refuse_turned(bench, turning)
     sampled_s = bench.wall_s()
     episode = assemble(
         replace(bench.sensing.recording(onset_s - BEFORE_ONSET_S, end_s), scene=scene),
@@ -112,6 +118,21 @@ def _press(bench: Bench, probe: int, offset_mm: FloatArray | None, *, decides: b
         metadata=_calibration(bench),
     )
     return Felt(episode, probe, end_s, sampled_s)
+
+
+def _refuse_turned(bench: Bench, turning: TorsionSlip) -> None:
+    """Latch and raise the fault of a piece that turned in the grasp, if it did."""
+    if not turning.seen():
+        return
+    fault = Fault(
+        "PIECE-TURNED",
+        f"The piece turned in the grasp: the markers by {math.degrees(turning.turned_rad):.1f}°.",
+        "Motion stopped; the probe in progress is void and nothing was let go.",
+        "Take the piece out or grip it again by hand, then press Reset.",
+        "gripper",
+    )
+    bench.interlock.raise_fault(fault)
+    raise FaultError(fault)
 
 
 def scene_pictures(bench: Bench) -> tuple[ScenePicture, ...]:

@@ -2,7 +2,8 @@
 
 Written as ``device:kind@start`` or ``device:kind@start+length`` in seconds of the bench clock, for
 example ``tactile_right:stop@2.5+1.0``. A sensor that slows down needs the rate as well, in Hz:
-``force_torque:slow=300@30+5``; one that drifts its drift, in N/s: ``force_torque:drift=0.05@30``.
+``force_torque:slow=300@30+5``; one that drifts its drift, in N/s: ``force_torque:drift=0.05@30``; a
+piece that turns in the grasp its angle, in degrees: ``gripper:turn=3@12``.
 """
 
 from __future__ import annotations
@@ -19,14 +20,15 @@ KINDS: dict[str, tuple[str, ...]] = {
     "tactile_right": ("freeze", "stop", "slow", "dark", "flicker"),
     "force_torque": ("nan", "stop", "slow", "drift", "jump"),
     "arm": ("stall", "silent"),
-    "gripper": ("stall", "silent"),
+    "gripper": ("stall", "silent", "turn"),
 }
 """freeze: the same picture for ever; stop: nothing arrives; slow: so many samples a second at most;
 dark: the light fails; flicker: the brightness swings by 25 %; nan: samples are not numbers; drift:
 Fz moves by so many N a second, and stays where it came to; jump: +50 N on Fz; stall: commanded but
-not moving; silent: no positions or widths arrive."""
+not moving; silent: no positions or widths arrive; turn: the held piece turns by so many degrees in
+the grasp, seen where it touches something."""
 
-UNITS = {"slow": "samples a second", "drift": "N a second"}
+UNITS = {"slow": "samples a second", "drift": "N a second", "turn": "degrees"}
 """Of the faults that need to be told how much."""
 
 _FORM = re.compile(
@@ -43,7 +45,7 @@ class Disturbance:
     start_s: float
     length_s: float = float("inf")
     much: float | None = None
-    """Samples a second of one that is slow, N a second of one that drifts."""
+    """Samples a second of one that is slow, N a second of one that drifts, degrees of a turn."""
 
     def holds(self, device: str, kind: str, t_s: float) -> bool:
         """Return whether this is the fault ``kind`` of ``device``, and on at ``t_s``."""
@@ -67,6 +69,16 @@ class Script:
     def rate_hz(self, device: str, t_s: float) -> float | None:
         """Return how fast ``device`` delivers at most at ``t_s``, None if it is not slowed."""
         return next((d.much for d in self.disturbances if d.holds(device, "slow", t_s)), None)
+
+    def turn_rad(self, start_s: float, end_s: float) -> float:
+        """Return by how much the held piece turns in the grasp in ``start_s <= t < end_s``."""
+        return math.radians(
+            sum(
+                d.much or 0.0
+                for d in self.disturbances
+                if d.kind == "turn" and start_s <= d.start_s < end_s
+            )
+        )
 
     def drift_n(self, t_s: float) -> float:
         """Return by how much the wrist sensor has drifted until ``t_s``, N."""

@@ -96,6 +96,12 @@ class Holding:
         self._values = packed(solved)[0]
         return self._values
 
+    def turn(self, angle_rad: float) -> None:
+        """Turn the piece between the pads: as a torsion slip of both, felt in contact alone."""
+        if self._state is not None:
+            slip = self._state.slip + np.array([0.0, 0.0, angle_rad])
+            self._state = replace(self._state, slip=slip)
+
     @property
     def touch_height_mm(self) -> float:
         """Command at which the face first touches while nothing has slipped."""

@@ -145,6 +145,8 @@ class World:
         if not self._script.active("gripper", "stall", start_s):
             self._grasp(dt_s, command)
         holding = self._holding
+        if holding is not None and (turn_rad := self._script.turn_rad(start_s, end_us * 1e-6)):
+            holding.turn(turn_rad)
         self._values = self._rest if holding is None else holding.solve(command, dt_s)
         self._watch_dragging(command)
         self._field_px = self._field(self._values)

@@ -1,4 +1,4 @@
-"""Damaged episodes, hostile models, and pieces that are lost in mid-probe, by the hundreds."""
+"""Damaged episodes and hostile models, by the hundreds."""
 
 from __future__ import annotations
 
@@ -7,32 +7,22 @@ import struct
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import suppress
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from safetensors.numpy import save_file
 
-from backend.catalogue.dataset import Dataset
-from backend.catalogue.values import EpisodeFilter
-from backend.core.facts import Fact, FaultRaised, PhaseEntered
-from backend.core.faults import InputError, TouchdownError
+from backend.core.faults import InputError
 from backend.dataset.episode_file import write_episode
 from backend.dataset.episode_reading import read_episode
 from backend.learning.checkpoint import load_checkpoint
 from tests.backend.catalogue.test_salvage import an_episode, mutants, record_ends
-from tests.backend.devices.trials import Ended
 from tests.backend.learning.test_checkpoint import reseal, save_small
-from tests.backend.runs.test_collect_faults import Failing
 from tests.bench.registry import Figure, figure
 
 MUTANTS, HANG_S = 2000, 10.0
 BLOCK = 4096
 HEADER_BYTES, REFUSED_S = 100_000_000, 1.0
-LOST, SEEN_S = 200, 0.2
-PHASES = ("approach", "press", "hold")
 
 
 @figure("faults")
@@ -116,70 +106,3 @@ _SPOILT: dict[str, Callable[[Path, Path, dict[str, np.ndarray]], None]] = {
     "wrong shape": _with(**{"head.bias": np.zeros(6, np.float32)}),
     "no numbers": _with(**{"head.bias": np.full(5, np.nan, np.float32)}),
 }
-
-
-class _Losing(Failing):
-    """As ``Failing``; the piece is lost some time after a phase of the first probe began."""
-
-    def lose(self, phase: str, after_s: float) -> None:
-        self.lost_s = float("inf")
-        self._phase, self._after_s = phase, after_s
-        step = self.session.advance
-
-        def advance() -> None:
-            step()
-            if self.lost_s == float("inf") and self.session.clock_s() >= self._due_s:
-                scene = self.session._scene
-                assert scene is not None
-                jaws = scene.stage.gripper._world.jaws
-                jaws.piece_present = jaws.holding = False
-                self.lost_s = self.session.clock_s()
-
-        self.session.advance = advance
-
-    def _take(self, fact: Fact) -> None:
-        super()._take(fact)
-        if isinstance(fact, PhaseEntered) and fact.phase == self._phase:
-            self._due_s = min(self._due_s, fact.t_s + self._after_s)
-
-    _phase, _after_s, _due_s = "", 0.0, float("inf")
-
-
-def lost(seed: int) -> Ended:
-    """Collect one probe, in which the piece is lost; return what does not hold."""
-    rng = random.Random(seed)
-    phase, after_s = rng.choice(PHASES), rng.uniform(0.0, 0.5)
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        Dataset.open(Path(folder) / "ds", person="ann") as dataset,
-    ):
-        losing = _Losing(dataset)
-        losing.lose(phase, after_s)
-        try:
-            with suppress(TouchdownError):
-                losing.run(count=1)
-            kept = dataset.episodes(EpisodeFilter(deleted=None))
-        finally:
-            losing.session.close()
-    phases = [f for f in losing.facts if isinstance(f, PhaseEntered)]
-    # What is lost after the probe has ended was held while it lasted: that label is right.
-    lifted_s = next((f.t_s for f in phases if f.phase == "lift"), float("inf"))
-    told = [f for f in losing.facts if isinstance(f, FaultRaised) and f.fault.code == "PIECE-LOST"]
-    rows = {
-        "never lost": losing.lost_s < float("inf"),
-        "a label": losing.lost_s >= lifted_s or not any(e.quality.accepted for e in kept),
-        "not told": len(told) == 1,
-        "told late": bool(told) and told[0].t_s - losing.lost_s <= SEEN_S,
-    }
-    broken = tuple(name for name, holds in rows.items() if not holds)
-    return Ended(seed, "collecting", f"lost {after_s:.2f} s into {phase}", broken)
-
-
-@figure("faults")
-def pieces_lost_in_probes(count: int = LOST) -> list[Figure]:
-    """The gripper loses its piece at a random instant of a probe: labels that come of it."""
-    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
-        ended = list(pool.map(lost, range(count), chunksize=5))
-    broken = [one for one in ended if one.broken]
-    name = f"probes of {count} with a lost piece that gave a label, or told late"
-    return [Figure(name, len(broken), "", "0", not broken, str(broken[0]) if broken else "")]

@@ -30,24 +30,26 @@ class Failing:
         )
         self.session.dataset = dataset
         self.session.hub.subscribe(self._take)
-        self._fails: tuple[int, str, str] | None = None
+        self._fails: tuple[int, str, str, float | None] | None = None
+        self.fails_s = float("inf")
 
     def run(self, **asked) -> None:
         # One mounting, so that the device that is made to fail is the one in use.
         asked = {"grips_per_mounting": 10, **asked}
         self.session.run(CollectRequest(seed=2, person="ann", **asked))
 
-    def fail_in_press(self, number: int, device: str, kind: str) -> None:
-        self._fails = (number, device, kind)
+    def fail_in_press(self, number: int, device: str, kind: str, much: float | None = None) -> None:
+        self._fails = (number, device, kind, much)
 
     def _take(self, fact: Fact) -> None:
         self.facts.append(fact)
         pressed = [f for f in self.facts if isinstance(f, PhaseEntered) and f.phase == "press"]
         if self._fails is not None and len(pressed) == self._fails[0]:
-            _, device, kind = self._fails
-            script = Script((Disturbance(device, kind, fact.t_s + 0.3),))
+            _, device, kind, much = self._fails
+            self.fails_s = fact.t_s + 0.3
+            script = Script((Disturbance(device, kind, self.fails_s, much=much),))
             bench = self.session._scene.stage.advance.__self__
-            for part in (bench, *bench.tactile.values()):
+            for part in (bench, bench._world, *bench.tactile.values()):
                 part._script = script
             self._fails = None
 
@@ -124,3 +126,12 @@ def test_a_piece_that_is_lost_within_a_probe_is_no_probe(phase: str, failing: Fa
     failing.only_what_was_told(0)
     (told,) = [fact for fact in failing.facts if isinstance(fact, FaultRaised)]
     assert told.t_s - lost_s[0] <= 0.2
+
+
+def test_a_piece_that_turns_in_the_grasp_is_no_probe(failing: Failing) -> None:
+    failing.fail_in_press(1, "gripper", "turn", 3.0)
+    failing.run(count=1)
+    failing.one_fault("PIECE-TURNED", "gripper")
+    failing.only_what_was_told(0)
+    (told,) = [fact for fact in failing.facts if isinstance(fact, FaultRaised)]
+    assert 0.0 < told.t_s - failing.fails_s <= 0.2

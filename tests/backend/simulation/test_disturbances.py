@@ -46,6 +46,13 @@ def test_a_slow_sensor_has_its_rate_and_takes_the_first_sample_of_each_period():
     assert sum(thinned.takes(5.0 + 0.04 * k, 40.0) for k in range(25)) == 25, "it is no faster"
 
 
+def test_a_turn_comes_once_in_the_cycle_of_its_time():
+    script = parse_script(["gripper:turn=3@2.005"])
+    turned = [script.turn_rad(0.01 * k, 0.01 * (k + 1)) for k in range(300)]
+    assert np.flatnonzero(turned).tolist() == [200]
+    assert sum(turned) == pytest.approx(np.radians(3.0))
+
+
 def test_a_drift_grows_as_told_and_stays():
     script = parse_script(["force_torque:drift=0.05@2+4", "force_torque:drift=0.1@4"])
     assert [script.drift_n(t_s) for t_s in (0.0, 2.0, 4.0, 5.0, 10.0)] == pytest.approx(

@@ -25,7 +25,6 @@ from backend.core.facts import (
     FaultRaised,
     Paused,
     PhaseEntered,
-    Released,
     RunFinished,
     TrialFinished,
 )
@@ -205,7 +204,8 @@ class Campaign:
         heard, session = self._heard, self.bench.session
         seen = self.bench.witnessed()
         assert seen is not None
-        released = len(heard.of(Released))
+        # A fault may strike while the jaws open by right: then nothing more tells of the release.
+        released = len([f for f in heard.of(PhaseEntered) if f.phase == "release"])
         connected = bool(heard.facts)
         allowed = CODES[kind.device] | LOAD
         rows = {

@@ -12,6 +12,8 @@ BIN := .venv/bin
 TESTS ?= tests
 WORKERS ?= 2
 MINUTES ?= 10
+# Where so much is free in memory, tests write there: they flush thousands of small files.
+MEMORY_MB := 6000
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -34,6 +36,8 @@ demo: setup ## stack three pieces without a screen and leave a report
 test: setup ## all tests: offscreen, no hardware, no network; one by real keys (Xvfb, xdotool)
 	@.ci/system-packages.sh Xvfb=xvfb xdotool=xdotool
 	@export QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1; \
+	if [ -w /dev/shm ] && [ "$$(df -Pm /dev/shm | awk 'END { print $$4 }')" -ge $(MEMORY_MB) ]; then \
+	    export PYTEST_DEBUG_TEMPROOT=/dev/shm; fi; \
 	$(BIN)/pytest $(TESTS) -q -n $(WORKERS) --dist worksteal || { \
 	    code=$$?; [ $$code = 1 ] || exit $$code; \
 	    echo "test: what failed is run again, one by one:"; \

@@ -25,6 +25,9 @@ from backend.sensing.synchroniser import synchronise
 from backend.sensing.torsion_slip import TorsionSlip
 
 BEFORE_ONSET_S = 0.3
+LEVEL_S = 0.2
+"""A face that meets the support at an angle turns until it lies flat: from then on the piece is to
+stay as it is in the grasp."""
 AFTER_LAST_TICK_S = 0.08
 """The frame after the last tick must have arrived (25 Hz plus jitter)."""
 EARLY_S = 0.06
@@ -71,12 +74,14 @@ def _press(bench: Bench, probe: int, offset_mm: FloatArray | None, *, decides: b
     yield from zero_sensors(bench, probe)
     yield PhaseEntered(bench.now_s(), "approach", probe)
     here = bench.arm.pose(max_age_s=0.2)
-    turning = TorsionSlip(bench.sensing.fields)
     motion = bench.arm.press(press_command(bench))
     limit_s = 60.0
     yield Waiting(lambda: motion.done or motion.onset_s is not None, limit_s, "contact")
     if motion.onset_s is not None:
         yield PhaseEntered(bench.now_s(), "press", probe)
+    level_s = bench.now_s() + LEVEL_S
+    yield Waiting(lambda: motion.done or bench.now_s() >= level_s, limit_s, "the faces to meet")
+    turning = TorsionSlip(bench.sensing.fields)
     yield Waiting(lambda: motion.done or turning.seen(), limit_s, "the press to end")
     _refuse_turned(bench, turning)
     try:

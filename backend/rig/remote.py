@@ -164,6 +164,9 @@ class RigForceTorque(_Remote):
 class RigArm(_Remote):
     """The arm of the rig."""
 
+    place_late_s = 0.0
+    """By how much later than a stream the arm may tell its place."""
+
     @property
     def poses(self) -> SampleStream:
         """Measured position of ``G``, mm in the bench, once per cycle."""
@@ -192,7 +195,7 @@ class RigArm(_Remote):
 
     def pose(self, max_age_s: float) -> Pose:
         """Return the measured pose; raises ``StaleSampleError`` if it is older."""
-        _, values = self.poses.latest(self._now_s(), max_age_s)
+        _, values = self.poses.latest(self._now_s(), max_age_s + self.place_late_s)
         x, y, z = values.tolist()
         return Pose(x, y, z, *(self._row.get("turn") or STILL))
 

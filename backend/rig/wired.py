@@ -14,6 +14,7 @@ from backend.core.flow import FINGERS, Finger, TactileFrame
 from backend.core.stream import SampleStream, Stream
 from backend.devices.cameras.making import make_tactile
 from backend.devices.interlock import Interlock
+from backend.devices.melfa.force_program import PLACE_LATE_S
 from backend.devices.protocols import Device
 from backend.rig.link import RigLink
 from backend.rig.process import make_devices
@@ -48,6 +49,8 @@ class WiredDevices:
             finger: make_tactile(finger, settings, now_s, frames[finger]) for finger in FINGERS
         }
         self.arm = RigArm("arm", self.link, now_s, open_ones)
+        if settings.melfa.stiffness_mode == "controller":
+            self.arm.place_late_s = PLACE_LATE_S
 
     @property
     def devices(self) -> Mapping[str, Device]:

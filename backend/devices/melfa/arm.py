@@ -256,7 +256,7 @@ class MelfaArm:
 
     def pose(self, max_age_s: float) -> Pose:
         """Return the measured pose; raises ``StaleSampleError`` if it is older."""
-        x, y, z = self._measured.latest_mm(max_age_s)
+        x, y, z = self._measured.latest_mm(max_age_s + self._force.place_late_s)
         with self._lock:
             turned, joints = self._core.turn is not UNTURNED, self._core.measured_rad
         if not turned:

@@ -26,6 +26,9 @@ Air = tuple[FloatArray, FloatArray]
 HOT_S = 1.0
 UNLOAD, ABORT = 2, 3
 """What the variable MDO asks of the program."""
+PLACE_LATE_S = 0.6
+"""So much later the place is told: ten times a second at most, and not while variables are written.
+Still within the second of silence that is a fault of the command channel (reliability 6.1)."""
 UNLOAD_SHARE = 0.8
 """It unloads a little further than asked: its own sensor has another zero."""
 
@@ -48,6 +51,11 @@ class ForceProgram:
     def running(self) -> bool:
         """Whether the program may still hold the arm."""
         return self._press is not None
+
+    @property
+    def place_late_s(self) -> float:
+        """By how much older a place may be while the program holds the arm."""
+        return PLACE_LATE_S if self.running else 0.0
 
     @property
     def press_n(self) -> float:

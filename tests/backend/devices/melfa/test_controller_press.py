@@ -80,6 +80,22 @@ def test_without_a_verdict_the_program_lifts_and_the_next_move_opens_the_stream(
     assert bench.arm.state is DeviceState.READY
 
 
+def test_the_place_is_fresh_enough_as_long_as_the_program_holds_the_arm(bench, controller):
+    bench.lifted_and_gripped()
+    bench.finish(bench.arm.press(PRESS))
+    unload, oldest_s = None, 0.0
+    for step in range(100):
+        bench.rest(0.02)
+        oldest_s = max(oldest_s, bench.now_s() - bench.arm.poses.since(0).t_s[-1])
+        assert bench.arm.pose(0.2).z_mm > 0.0
+        if step == 50:
+            unload = bench.arm.unload(1.0, 2.0)
+    assert controller.program == "probe"
+    bench.finish(unload)
+    # The claim is not empty: it is told more rarely than a stream tells it.
+    assert oldest_s > 0.2
+
+
 def test_more_than_a_probe_may_reach_is_refused_before_anything_moves(bench, controller):
     bench.lifted_and_gripped()
     with pytest.raises(RefusedError, match="PROBE-FORCE"):

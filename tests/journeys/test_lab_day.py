@@ -9,6 +9,7 @@ test. Nothing else may go wrong.
 import os
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 
@@ -34,18 +35,20 @@ def served(tmp_path):
     """The lab file of an emulated bench, and the process that serves it: faults by its input."""
     lab = tmp_path / "lab.toml"
     words = ["emulate", "bench", "--lab-file", str(lab), "--preset", "quiet", "--seed", "7"]
-    child = subprocess.Popen(
-        [sys.executable, "-m", "backend", *words, "--for", "600", "--json"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        text=True,
-        env={**os.environ, "TMPDIR": str(tmp_path)},
-    )
-    wait(lambda: lab.is_file() and lab.read_text("utf-8"), lambda: None)
-    yield lab, child
-    child.terminate()
-    child.stdin.close()
-    child.wait(20.0)
+    # Emulated devices are known by their place below the folder for temporary files.
+    with tempfile.TemporaryDirectory() as room:
+        child = subprocess.Popen(
+            [sys.executable, "-m", "backend", *words, "--for", "600", "--json"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            text=True,
+            env={**os.environ, "TMPDIR": room},
+        )
+        wait(lambda: lab.is_file() and lab.read_text("utf-8"), lambda: None)
+        yield lab, child
+        child.terminate()
+        child.stdin.close()
+        child.wait(20.0)
 
 
 @pytest.fixture

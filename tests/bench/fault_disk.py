@@ -21,7 +21,7 @@ from backend.catalogue.dataset import Dataset
 from backend.catalogue.values import Label
 from backend.core.faults import FaultError, TouchdownError
 from tests.backend.catalogue.conftest import context_for, small_episode
-from tests.backend.catalogue.crash_trials import Known, forked, told, verify
+from tests.backend.catalogue.crash_trials import Known, forked, record_one, told, verify
 from tests.bench.registry import Figure, figure
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -117,13 +117,7 @@ def _scenario(place: Path, kind: int, nth: int, tell: Callable[[str], None]) -> 
                 tell(f"met {library.was_refused()} - -\n")
                 library.arm(-1, 0)
             try:
-                entry = dataset.record(
-                    small_episode(seed=seed), Label(seed, -seed, 0, 9), source="commanded",
-                    context=context,
-                )  # fmt: skip
-                tell(f"episode {entry.uuid} {seed} -\n")
-                revision = dataset.labels.set("ann", entry.uuid, Label(seed + 1, 0, 0, 9))
-                tell(f"label {entry.uuid} {seed + 1} {revision.rev_uuid}\n")
+                record_one(dataset, tell, seed, context)
             except TouchdownError as error:
                 if last:
                     tell(f"stuck {type(error).__name__} {str(error).replace(' ', '_')} -\n")

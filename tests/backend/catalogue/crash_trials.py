@@ -25,7 +25,7 @@ import numpy as np
 from backend.catalogue import database, recording
 from backend.catalogue.dataset import Dataset
 from backend.catalogue.recovery import examine
-from backend.catalogue.values import Label
+from backend.catalogue.values import EpisodeContext, Label
 from backend.dataset import container, episode_file
 from tests.backend.catalogue.conftest import context_for, small_episode
 
@@ -93,18 +93,24 @@ class Known:
             self.labels[rev] = (uuid, int(number))
 
 
+def record_one(
+    dataset: Dataset, tell: Callable[[str], None], seed: int, context: EpisodeContext
+) -> None:
+    """Record one episode and label it, telling each of the two once it is durable."""
+    entry = dataset.record(
+        small_episode(seed=seed), Label(seed, -seed, 0, 9), source="commanded", context=context
+    )
+    tell(f"episode {entry.uuid} {seed} -\n")
+    revision = dataset.labels.set("ann", entry.uuid, Label(seed + 1, 0, 0, 9))
+    tell(f"label {entry.uuid} {seed + 1} {revision.rev_uuid}\n")
+
+
 def record(folder: Path, tell: Callable[[str], None], first: int, count: int) -> None:
     """Record episodes and label each, telling every one that is durable."""
     with Dataset.open(folder, person="cleo") as dataset:
         context = context_for(dataset)
         for seed in range(first, first + count):
-            entry = dataset.record(
-                small_episode(seed=seed), Label(seed, -seed, 0, 9), source="commanded",
-                context=context,
-            )  # fmt: skip
-            tell(f"episode {entry.uuid} {seed} -\n")
-            revision = dataset.labels.set("ann", entry.uuid, Label(seed + 1, 0, 0, 9))
-            tell(f"label {entry.uuid} {seed + 1} {revision.rev_uuid}\n")
+            record_one(dataset, tell, seed, context)
 
 
 def forked(work: Callable[[Callable[[str], None]], None]) -> tuple[int, int]:

@@ -13,14 +13,12 @@ from typing import Protocol, runtime_checkable
 SLOW_SHARE, WELL_SHARE = 0.5, 0.6
 """Slow below this share of the usual rate, until it is above the other."""
 WINDOW_S = 0.05
-LEAST_PERIODS = 16
+LEAST_PERIODS = 6
 """So many samples are due in the window at least: single losses do not make a sensor slow."""
 APART = 1.5
-"""Arrivals this many periods apart: nothing more waited behind the one before."""
+"""Quiet for so many periods after an arrival: nothing more waited behind it."""
 WAIT_S, WAIT_PERIODS = 0.021, 5.0
 """A longer wait than adapters make (16 ms), and than this many periods, says nothing of a rate."""
-AGAIN = 2
-"""Found slow so many times in a row, it is: what ends a wait may come in two pieces."""
 
 
 @runtime_checkable
@@ -39,25 +37,26 @@ class Arrivals:
         self._period_s = period_s
         self._window_s = max(WINDOW_S, LEAST_PERIODS * period_s)
         self._came: deque[tuple[float, int]] = deque()
-        self._total = self._found = 0
+        self._total = 0
+        self._judged = True
         self.slow_since_s: float | None = None
         """When it began to be slow; None while it is not."""
 
     def note(self, now_s: float, count: int) -> None:
         """Take ``count`` samples that came at ``now_s``."""
-        if self._came and now_s - self._came[-1][0] > APART * self._period_s:
-            self._judge()
+        self.look(now_s)
         self._total += count
         self._came.append((now_s, self._total))
+        self._judged = False
         if self.slow_since_s is not None and self._share() >= WELL_SHARE:
-            self.slow_since_s, self._found = None, 0
+            self.slow_since_s = None
 
-    def _judge(self) -> None:
-        if self._share() >= SLOW_SHARE or self._held_up():
-            self._found = 0
+    def look(self, now_s: float) -> None:
+        """Judge up to the newest arrival, once nothing more waited behind it at ``now_s``."""
+        if self._judged or now_s - self._came[-1][0] <= APART * self._period_s:
             return
-        self._found += 1
-        if self._found >= AGAIN and self.slow_since_s is None:
+        self._judged = True
+        if self.slow_since_s is None and self._share() < SLOW_SHARE and not self._held_up():
             self.slow_since_s = self._came[0][0]
 
     def _held_up(self) -> bool:

@@ -235,6 +235,7 @@ class ForceTorqueReader:
         readout = self._readout
         stamps, values = readout.accept(now_s, language.take(data))
         if not len(stamps):
+            self._pace.look(now_s)
             return False
         self._samples.put(stamps, values)
         self._received += len(stamps)

@@ -1,4 +1,8 @@
-"""Touch the bottom in five places and feel its edges, each in two places if they are straight."""
+"""Touch the bottom in five places and feel its edges, each in two places if they are straight.
+
+All of it once more where the residual is beyond its limit: of so few measurements noise alone is,
+now and then.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +13,11 @@ import numpy as np
 
 from backend.calibration.board import Edge, YawOf, estimate_board
 from backend.calibration.estimate import Estimate
-from backend.core.facts import Progress
+from backend.core.facts import Progress, Said
 from backend.core.faults import RefusedError
 from backend.core.flow import FloatArray
 from backend.objects.shapes import Outline
+from backend.runs import words
 from backend.runs.bench import Bench
 from backend.runs.descents import middle_of_overlap
 from backend.runs.jig import pick, put_back
@@ -27,6 +32,7 @@ OUT = 0.6
 """The piece touches so far out, as a share of the half width of the bottom."""
 EDGES = tuple((axis, side, way) for axis in range(2) for side in (-1.0, 1.0) for way in (-1.0, 1.0))
 STEPS = len(CORNERS) + len(EDGES)
+ROUNDS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,18 +49,32 @@ def measure_board(bench: Bench, request: CalibrateRequest) -> Plan[Estimate]:
     centre = np.array(request.origin_mm)
     contact_mm = yield from find_height(bench, centre)
     start_mm = contact_mm + bench.settings.probe.start_height_mm
-    touches = yield from _touches(bench, centre, start_mm)
     along = along_edges(bench.piece.face, bench.outline)
+    touches, edges = np.empty((0, 3)), list[Edge]()
+    for before in range(ROUNDS):
+        touches = np.vstack([touches, (yield from _touches(bench, centre, start_mm, before))])
+        edges += yield from _edges(bench, centre, start_mm, along, before)
+        found = estimate_board(touches, edges, along.yaw_of)
+        if found.residual <= found.limit:
+            break
+        if before + 1 < ROUNDS:
+            yield Said(bench.now_s(), words.felt_once_more(found.residual, found.limit))
+    yield _progress(bench, before, STEPS, "back to the jig")
+    yield from put_back(bench)
+    return found
+
+
+def _edges(
+    bench: Bench, centre: FloatArray, start_mm: float, along: Along, before: int
+) -> Plan[list[Edge]]:
+    """Return all edges, felt round ``centre`` (2,) after ``before`` rounds."""
     edges = []
     for at, (axis, side, way) in enumerate(EDGES):
         yield Checkpoint()
-        yield _progress(bench, len(CORNERS) + at, f"edge {at + 1} of {len(EDGES)}")
+        yield _progress(bench, before, len(CORNERS) + at, f"edge {at + 1} of {len(EDGES)}")
         off = along.mm[axis] * way
-        edge = yield from felt_edge(bench, centre, (axis, side, off), start_mm)
-        edges.append(edge)
-    yield _progress(bench, STEPS, "back to the jig")
-    yield from put_back(bench)
-    return estimate_board(touches, edges, along.yaw_of)
+        edges.append((yield from felt_edge(bench, centre, (axis, side, off), start_mm)))
+    return edges
 
 
 def felt_edge(
@@ -101,13 +121,13 @@ def _half_lengths(outline: Outline) -> tuple[float, float] | None:
     return None
 
 
-def _touches(bench: Bench, centre: FloatArray, start_mm: float) -> Plan[FloatArray]:
+def _touches(bench: Bench, centre: FloatArray, start_mm: float, before: int) -> Plan[FloatArray]:
     """Return (5, 3): middle of the overlap and height of contact, for the arm."""
     out_mm = OUT * np.array(bench.outline.half_extents_mm)
     found = []
     for at, corner in enumerate(CORNERS):
         yield Checkpoint()
-        yield _progress(bench, at, f"touch {at + 1} of {len(CORNERS)}")
+        yield _progress(bench, before, at, f"touch {at + 1} of {len(CORNERS)}")
         off = out_mm * corner
         height_mm = yield from touched_mm(bench, centre + off, start_mm, BELOW_MM)
         if height_mm is None:
@@ -117,5 +137,7 @@ def _touches(bench: Bench, centre: FloatArray, start_mm: float) -> Plan[FloatArr
     return np.array(found)
 
 
-def _progress(bench: Bench, done: int, text: str) -> Progress:
-    return Progress(bench.now_s(), done, STEPS, text)
+def _progress(bench: Bench, before: int, done: int, text: str) -> Progress:
+    """Say how far it is after ``before`` rounds and ``done`` steps; a second one is as long."""
+    steps = STEPS * (before + 1)
+    return Progress(bench.now_s(), STEPS * before + done, steps, text)

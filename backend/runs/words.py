@@ -54,6 +54,14 @@ def origin(x_mm: float, y_mm: float, sigma_mm: float, agrees: bool) -> str:
     return f"{felt}." if agrees else f"{felt}: set the origin again, the labels are off by this."
 
 
+def felt_once_more(residual_mm: float, limit_mm: float) -> str:
+    """Say why a board is measured twice."""
+    return (
+        f"The residual is {residual_mm:.2f} mm, beyond its limit of {limit_mm:.1f} mm: the board "
+        "is felt once more, and both rounds count."
+    )
+
+
 def regrip(why: str) -> str:
     """Say why the piece goes back into its jig before its time."""
     return f"The piece is gripped anew: {why}."

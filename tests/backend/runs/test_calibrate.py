@@ -21,7 +21,7 @@ from backend.devices.sim.arm import SimArm
 from backend.devices.streamed.pressing import UNFELT
 from backend.objects.shapes import circle, rectangle, regular, square
 from backend.rig.core import LAPSED
-from backend.runs import calibrate_pushes, touching
+from backend.runs import calibrate_board, calibrate_pushes, touching
 from backend.runs.again import TOUCH_TRIES
 from backend.runs.calibrate_board import along_edges, measure_board
 from backend.runs.calibrate_payload import measure_payload, measure_wrist
@@ -161,6 +161,30 @@ def test_the_board_is_where_the_bench_was_built_with_it(near) -> None:
         assert abs(found.value(slope)) < 0.02
     assert found.value("yaw_rad") == pytest.approx(0.0, abs=0.015)
     assert not blind.bench.gripper.status().holding
+
+
+@pytest.mark.parametrize(("wrong_mm", "rounds"), [(0.32, 2), (0.0, 1)])
+def test_a_board_beyond_its_limit_is_felt_once_more(near, monkeypatch, wrong_mm, rounds) -> None:
+    """One edge that was felt in the wrong place spoils a round, and no calibration."""
+    felt = []
+    edge_mm = calibrate_board.edge_mm
+
+    def felt_wrong(*args):
+        at_mm = yield from edge_mm(*args)
+        felt.append(at_mm)
+        return at_mm + (wrong_mm if len(felt) == 1 else 0.0)
+
+    monkeypatch.setattr(calibrate_board, "edge_mm", felt_wrong)
+    request = CalibrateRequest("board", seed=5)
+    blind = BlindBench(request.scene())
+    found = measured(blind, measure_board, request)
+    assert len(felt) == 8 * rounds
+    assert found.acceptable
+    assert len(found.residuals) == 13 * rounds
+    at_mm = np.array([found.value("x_mm"), found.value("y_mm")])
+    assert np.abs(at_mm - blind.centres_mm[0]).max() <= 0.12
+    said = [fact.text for fact in blind.facts if isinstance(fact, Said)]
+    assert any("once more" in text for text in said) == (rounds == 2)
 
 
 def test_the_face_is_found_in_the_hand_over_three_grips(near) -> None:

@@ -52,13 +52,14 @@ def test_a_figure_that_cannot_be_measured_is_missed_and_the_rest_goes_on(monkeyp
     assert second["ok"]
 
 
-def test_groups_are_chosen_by_name(monkeypatch, capsys):
+@pytest.mark.parametrize("name", ["group b", "b"])
+def test_groups_and_figures_are_chosen_by_name(name, monkeypatch, capsys):
     _register(
         monkeypatch,
         a=lambda: [Figure("first", 1.0, "", "", True)],
         b=lambda: [Figure("second", 1.0, "", "", True)],
     )
-    assert run.main(["group b", "--json"]) == 0
+    assert run.main([name, "--json"]) == 0
     assert [f["name"] for f in json.loads(capsys.readouterr().out)["figures"]] == ["second"]
 
 

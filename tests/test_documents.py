@@ -81,6 +81,19 @@ def test_every_row_of_a_list_names_tests_that_exist(page, row, least):
     assert set().union(*named) - written == set()
 
 
+def test_every_figure_of_the_list_of_faults_is_measured_and_its_module_named():
+    named = set(re.findall(r'"([a-z_]+)"', (ROOT / "docs" / "faults.md").read_text("utf-8")))
+    run = (ROOT / "tests" / "bench" / "run.py").read_text("utf-8")
+    measured = {
+        name
+        for path in (ROOT / "tests" / "bench").glob("*.py")
+        if f'"tests.bench.{path.stem}"' in run
+        for name in re.findall(r"@figure\(.*\)\ndef (\w+)", path.read_text("utf-8"))
+    }
+    assert len(named) >= 30
+    assert named - measured == set()
+
+
 def test_every_picture_of_a_state_is_one_that_is_made():
     text = (ROOT / "docs" / "window.md").read_text("utf-8").partition("## States of the pill")[2]
     made = "".join((ROOT / "tests" / n).read_text("utf-8")

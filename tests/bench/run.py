@@ -46,6 +46,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.fault_arm",
     "tests.bench.fault_plugs",
     "tests.bench.fault_contact",
+    "tests.bench.fault_peaks",
     "tests.bench.fault_lines",
     "tests.bench.fault_controller",
     "tests.bench.fault_disk",

@@ -7,6 +7,7 @@ It ends when its input does: also if whoever started it has died.
 from __future__ import annotations
 
 import json
+import select
 import subprocess
 import sys
 import threading
@@ -20,7 +21,7 @@ from typing import IO, Any
 from backend.assembly import make_scene
 from backend.config.simulation import SimulationSettings
 from backend.core.faults import Fault, FaultError
-from backend.core.standstill import Standstill
+from backend.core.standstill import Standstill, ThreadRest
 from backend.emulators.faults import FaultPlan
 from backend.emulators.front import TcpFront
 from backend.emulators.joined_serving import serve_bench, take_short_turns
@@ -30,6 +31,8 @@ from backend.runs.requests import SceneChoice
 
 END_S = 1.5
 LOOK_S = 0.05
+REST_S, SET_S = 10.0, 60.0
+"""Who sets a scene waits for threads that end, for far less than this, and is done long before."""
 
 
 class EmulatedProcess:
@@ -54,7 +57,7 @@ class EmulatedProcess:
     ) -> tuple[str, int]:
         """Emulate a scene with the bench file in ``folder``; return where its truth is told.
 
-        Raises ``FaultError`` if the process has died.
+        Raises ``FaultError`` if the process has died, or does not come to its orders.
         """
         self._serving.clear()
         child = self._running()
@@ -72,7 +75,7 @@ class EmulatedProcess:
             child.stdin.flush()
         except BrokenPipeError as error:
             raise FaultError(GONE) from error
-        answer = child.stdout.readline()
+        answer = self._answer_of(child, child.stdout)
         if not answer:
             raise FaultError(GONE)
         self._serving.set()
@@ -100,6 +103,20 @@ class EmulatedProcess:
         except subprocess.TimeoutExpired:
             child.kill()
             child.wait()
+
+    def _answer_of(self, child: subprocess.Popen[str], answers: IO[str]) -> str:
+        """Return its next line, "" at its end; one whose first thread rests is ended."""
+        rest, begun_s = ThreadRest(child.pid, child.pid), time.monotonic()
+        try:
+            while not select.select([answers], [], [], LOOK_S)[0]:
+                now_s = time.monotonic()
+                if rest.look(now_s) > REST_S or now_s - begun_s > SET_S:
+                    child.kill()
+                    self.close()
+                    raise FaultError(NOT_SET)
+            return answers.readline()
+        except ValueError as error:  # closed meanwhile
+            raise FaultError(GONE) from error
 
     def _running(self) -> subprocess.Popen[str]:
         if self._child is None:
@@ -139,6 +156,12 @@ STILL = Fault(
     "The process of the emulated bench stands still: nothing in it wants to run.",
     "All emulated devices are silent.",
     "Let it go on, or start anew.",
+)
+NOT_SET = Fault(
+    "SCENE-NOT-SET",
+    "The process of the emulated bench does not come to setting the scene.",
+    "It was ended, and all emulated devices with it.",
+    "Press Reset and start again: the next scene gets a process of its own.",
 )
 
 

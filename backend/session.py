@@ -20,6 +20,7 @@ from backend.calibration.store import CalibrationStore
 from backend.catalogue.dataset import Dataset
 from backend.config.bench_facts import BenchFacts
 from backend.config.method import StackSettings
+from backend.core.doing import doing
 from backend.core.facts import Decision, FaultsReset, Said
 from backend.core.faults import RefusedError
 from backend.core.flow import FINGERS, Finger, MarkerField, TactileFrame
@@ -50,7 +51,7 @@ from backend.runs.plan import Plan
 from backend.runs.plans import plan_of
 from backend.runs.recording import Keep, Recorder
 from backend.runs.requests import Request, RunStatus, SceneChoice, SetRequest
-from backend.runs.stage import Check, MakeStage, Stage
+from backend.runs.stage import SET_S, Check, MakeStage, Stage
 from backend.runs.standing import FaultTeller, latch, refuse_contact, refuse_on_devices, stop_with
 from backend.sensing.drift import Drift
 from backend.sensing.live import LiveSensing, RawStreams
@@ -120,9 +121,10 @@ class Session:
         self.engine = Engine(self.hub, self.interlock, self.clock_s, self._supervision.unwell)
         mode = LIVE_MODES.get(facts.mode, "lab")
         self._keep, self._recorder = keep, Recorder(keep, self.hub, self.interlock, mode)
-        self._teller = FaultTeller(self.hub, self.interlock)
+        self._teller = FaultTeller(self.hub, self.interlock, self.clock_s)
         self._scene: _Scene | None = None
-        self._live = LiveThread(self._live_step, 1e-6 * STEP_US, self.engine.abandon)
+        ended, still = self.engine.abandon, self._teller.tell_now
+        self._live = LiveThread(self._live_step, 1e-6 * STEP_US, ended, still)
 
     # -- for the window and for scripts -----------------------------------------------------------
 
@@ -262,7 +264,7 @@ class Session:
             scene.drift.update()
             self._supervision.check(self.clock_s())
         if not self.engine.busy:
-            self._teller.tell(self.clock_s())
+            self._teller.tell()
 
     def open(self, speed: float = 1.0) -> None:
         """Start the live thread; ``speed`` simulated seconds per wall second."""
@@ -360,14 +362,11 @@ class Session:
             real_time=stage.real_time,
         )
 
+    @doing("sets the scene", SET_S)
     def _set_scene(self, choice: SceneChoice, used: Used | None = None) -> _Scene:
-        """Build the scene, clear the streams, connect the devices, and let the sensors start.
-
-        ``used``: the calibrations that a run was checked with.
-        """
+        """Build the scene and let its sensors start; ``used``: what a run was checked with."""
         self.interlock.forget_stoppers()
-        if self.connection is not None:
-            stop_with(self.connection, self.interlock)
+        stop_with(self.connection, self.interlock)
         for finger in FINGERS:
             self.frames[finger].clear()
             self.fields[finger].clear()

@@ -9,12 +9,12 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from threading import RLock
 from typing import Any
 
 from backend.catalogue.chain import canonical
 from backend.catalogue.migration import migrate
 from backend.catalogue.schema import APPLICATION_ID, SCHEMA_VERSION, statements
+from backend.core.doing import SharedLock
 from backend.core.faults import Fault, FaultError, InputError, RefusedError
 
 NAME = "catalog.db"
@@ -34,7 +34,7 @@ class Database:
     def __init__(self, connection: sqlite3.Connection, path: Path, *, writable: bool) -> None:
         self._connection, self.path, self.writable = connection, path, writable
         self.migrated_from = 0
-        self._lock = RLock()
+        self._lock = SharedLock()
 
     @classmethod
     def open(cls, path: Path, *, write: bool) -> Database:

@@ -10,7 +10,6 @@ import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
-from threading import RLock
 from typing import Any
 
 from backend.catalogue import apart, bulk, heads, operations, review
@@ -35,6 +34,7 @@ from backend.catalogue.values import (
     Step,
     Verdict,
 )
+from backend.core.doing import SharedLock
 from backend.core.faults import InputError, RefusedError
 
 
@@ -48,7 +48,7 @@ class LabelBook(LabelReader):
     def __init__(self, database: Database, journal: Journal, site: str) -> None:
         super().__init__(database)
         self._journal, self.site = journal, site
-        self._lock = RLock()
+        self._lock = SharedLock()
         self._stacks: dict[str, Stacks] = {}
         self.four_eyes = True
         self.frozen = ""

@@ -6,6 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
+from backend.core.doing import SharedLock
 from backend.core.facts import Fact
 
 Subscriber = Callable[[Fact], None]
@@ -19,7 +20,7 @@ class Hub:
 
     def __init__(self) -> None:
         self._subscribers: list[Subscriber] = []
-        self._lock = threading.RLock()
+        self._lock = SharedLock()
 
     def subscribe(self, subscriber: Subscriber) -> Callable[[], None]:
         """Add ``subscriber``; call the returned function to leave."""

@@ -1,4 +1,4 @@
-"""Whether another process stands still: stopped by a signal, or each thread waiting for nothing.
+"""Whether a process stands still (stopped by a signal, or each thread waiting), or one thread.
 
 A process that is short of a processor, or that waits for a disk, wants to run and is told apart:
 the scheduler says so of each thread. Without ``/proc`` only a stopped one is known.
@@ -16,6 +16,8 @@ STILL_S = 0.3
 AWAY_S = 1.0
 """Who has not looked for so long stood still as well: with the whole computer, say."""
 WANTS = frozenset("RDW")
+LATEST_S = 0.1
+"""So much of the time between two looks at a thread counts; they are 50 ms apart."""
 
 
 class Standstill:
@@ -53,3 +55,35 @@ class Standstill:
         if not found and self._process.status() == psutil.STATUS_STOPPED:
             return {"T"}
         return found
+
+
+class ThreadRest:
+    """Tells for how long a thread has rested: neither run nor wanted to.
+
+    One that polls, that waits for the interpreter, for a processor or for a disk does not rest.
+    Without ``/proc`` none is known to. What a look comes too late by counts for nothing, so that
+    a computer that slept, or a program that was stopped, lets no thread rest.
+    """
+
+    def __init__(self, process: int, thread: int) -> None:
+        self._status = Path("/proc") / str(process) / "task" / str(thread) / "status"
+        self._switches: tuple[bytes, ...] = ()
+        self._looked_s = 0.0
+        self.passed_s = 0.0
+        """From the look before the last to the last one, as far as it counts."""
+        self.rested_s = 0.0
+
+    def look(self, now_s: float) -> float:
+        """Return for how long it has rested at ``now_s``; 0 at first and once it is gone."""
+        self.passed_s, self._looked_s = min(now_s - self._looked_s, LATEST_S), now_s
+        self.rested_s = self.rested_s + self.passed_s if self._rests() else 0.0
+        return self.rested_s
+
+    def _rests(self) -> bool:
+        """Return whether it rested since the last look."""
+        before, self._switches, state = self._switches, (), b"R"
+        with suppress(OSError):
+            lines = [line.split() for line in self._status.read_bytes().splitlines()]
+            state = next(words[1] for words in lines if words[0] == b"State:")
+            self._switches = tuple(words[1] for words in lines if words[0].endswith(b"_switches:"))
+        return bool(before) and before == self._switches and state.decode() not in WANTS

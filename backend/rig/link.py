@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from backend.config.hardware import HardwareSettings
+from backend.core.doing import doing
 from backend.core.faults import Fault, FaultError
 from backend.core.realtime import prefer
 from backend.core.stream import SampleStream
@@ -266,8 +267,9 @@ class RigLink:
             # Lost just now: nobody may be left to end this order.
             self._answers.pop(number, None)
             raise FaultError(GONE)
-        if not answer.came.wait(ORDER_S):
-            raise FaultError(NO_ANSWER)
+        with doing("waits for the devices", 2.0 * ORDER_S):
+            if not answer.came.wait(ORDER_S):
+                raise FaultError(NO_ANSWER)
         if "error" in answer.message:
             raise read_error(answer.message["error"])
         return answer
@@ -295,8 +297,7 @@ class RigLink:
         if answer is None:
             return
         answer.message = message
-        number = message["motion"]
-        if number is not None:
+        if (number := message["motion"]) is not None:
             answer.motion = self._motions.setdefault(number, RigMotion(message["sent"]))
         answer.came.set()
 

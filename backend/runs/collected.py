@@ -13,6 +13,7 @@ from backend.catalogue.dataset import Dataset
 from backend.catalogue.recording import with_uuid
 from backend.catalogue.values import EpisodeContext, EpisodeEntry, Label
 from backend.config.method import CollectSettings
+from backend.core.doing import DISK_S, doing
 from backend.core.flow import MARKERS, TACTILE_CHANNELS, Episode, FloatArray
 
 MEASURED = "measured"
@@ -104,7 +105,8 @@ class EpisodeRecorder:
         Asked again after that, it tries once more: the episode is still held.
         """
         pending, self._pending = self._pending or self._begin(), None
-        return pending.result()
+        with doing("waits for the disk", DISK_S):
+            return pending.result()
 
     def _begin(self) -> Future[EpisodeEntry]:
         assert self._newest is not None

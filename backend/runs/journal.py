@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
+from backend.core.doing import DISK_S, doing
 from backend.core.facts import Fact
 from backend.core.faults import InputError
 from backend.core.files import make_folder, sync_folder
@@ -59,7 +60,8 @@ class Journal:
         raw = json.dumps(line, separators=(",", ":"), allow_nan=False).encode() + b"\n"
         self._file.write(raw)
         self._file.flush()
-        os.fsync(self._file.fileno())
+        with doing("waits for the disk", DISK_S):
+            os.fsync(self._file.fileno())
         self._durable_bytes += len(raw)
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from backend.catalogue.diskspace import NO_ROOM, room_for
 from backend.core.clock import WallWatch
+from backend.core.doing import SharedLock
 from backend.core.facts import Fact, Said
 from backend.core.faults import Fault, InputError
 from backend.core.hub import Hub
@@ -41,7 +41,7 @@ class Recorder:
         self._leave: Callable[[], None] | None = None
         self._held: list[Fact] = []
         """Facts for which the disk has no room, in order."""
-        self._lock = threading.RLock()
+        self._lock = SharedLock()
         self._wall = WallWatch()
         self.store = RunStore(None, {})
         """Takes episodes; those of no run are not kept."""

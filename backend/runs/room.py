@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from backend.catalogue.diskspace import NO_ROOM, free_to_go_on
+from backend.core.doing import DISK_S, doing
 from backend.core.facts import Decision
 from backend.core.faults import Fault, FaultError
 from backend.runs.bench import Bench
@@ -47,7 +48,8 @@ def saved(save: Callable[[], None]) -> Plan[bool]:
     """
     while True:
         try:
-            save()
+            with doing("waits for the disk", DISK_S):
+                save()
         except FaultError as error:
             if error.fault.code != FULL:
                 raise

@@ -15,6 +15,8 @@ from backend.runs.bench import Estimate, SceneView, Scoring
 from backend.runs.requests import SceneChoice
 from backend.sensing.live import RawStreams
 
+SET_S = 120.0
+"""Setting a scene takes so long at most: emulated devices are made and connected anew."""
 Check = Callable[[SceneChoice], Mapping[str, object]]
 """Raises ``InputError`` before anything is written or moved; else returns what a run on the scene
 depends on beside request and method, JSON-ready: bench settings, model, program."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from backend.core.facts import Fact, FaultRaised, FaultsReset
-from backend.core.faults import RefusedError
+from backend.core.faults import Fault, RefusedError
 from backend.core.hub import Hub
 from backend.devices.interlock import Interlock
 from backend.devices.protocols import Device, DeviceState
@@ -38,8 +38,10 @@ def refuse_contact(hand: Hand | None) -> None:
         )
 
 
-def stop_with(connection: Connection, interlock: Interlock) -> None:
+def stop_with(connection: Connection | None, interlock: Interlock) -> None:
     """Let STOP end connecting, and reach arm and gripper before there is a scene."""
+    if connection is None:
+        return
     interlock.on_stop(connection.cancel)
     for name in ("arm", "gripper"):
         stop = getattr(connection.devices.get(name), "stop", None)
@@ -58,16 +60,22 @@ def latch(devices: Iterable[Device], interlock: Interlock) -> None:
 class FaultTeller:
     """Announces faults that were latched while no run was there to do it; each once."""
 
-    def __init__(self, hub: Hub, interlock: Interlock) -> None:
-        self._hub, self._interlock = hub, interlock
+    def __init__(self, hub: Hub, interlock: Interlock, now_s: Callable[[], float]) -> None:
+        self._hub, self._interlock, self._now_s = hub, interlock, now_s
         self._told: set[tuple[str, str]] = set()
         hub.subscribe(self._note)
 
-    def tell(self, now_s: float) -> None:
+    def tell(self) -> None:
         """Announce what is latched and was not announced since the last reset."""
         for fault in self._interlock.faults:
             if (fault.code, fault.device) not in self._told:
-                self._hub.publish(FaultRaised(now_s, fault))
+                self._hub.publish(FaultRaised(self._now_s(), fault))
+
+    def tell_now(self, fault: Fault) -> None:
+        """Latch ``fault`` and announce it on this thread, if that was not done since the reset."""
+        if (fault.code, fault.device) not in self._told:
+            self._interlock.raise_fault(fault)
+            self._hub.publish(FaultRaised(self._now_s(), fault))
 
     def _note(self, fact: Fact) -> None:
         if isinstance(fact, FaultRaised):

@@ -8,6 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from backend.catalogue.diskspace import NO_ROOM
+from backend.core.doing import DISK_S, doing
 from backend.core.faults import Fault, FaultError
 from backend.core.files import make_folder
 from backend.core.flow import Episode
@@ -80,7 +81,8 @@ class RunStore:
             self._begin(self._folder, self._newest)
         pending, self._pending = self._pending, None
         try:
-            path = None if pending is None else pending.result()
+            with doing("waits for the disk", DISK_S):
+                path = None if pending is None else pending.result()
         except OSError as error:
             raise FaultError(
                 Fault(

@@ -56,7 +56,7 @@ def test_a_bench_that_makes_no_step_stands_still_and_one_that_prepares_does_not(
         made.set()
         hangs.wait(30.0)
 
-    thread = LiveThread(step, 0.02, pytest.fail)
+    thread = LiveThread(step, 0.02, pytest.fail, lambda fault: None)
     assert thread.still_s == 0.0
     thread.open(1.0)
     made.wait(30.0)

@@ -67,3 +67,21 @@ def test_a_bench_whose_process_is_dead_is_a_fault(monkeypatch):
     until(lambda: told)
     process.close()
     assert [fault.code for fault in told] == ["BENCH-GONE"]
+
+
+def test_a_process_that_never_sets_its_scene_is_a_fault_and_the_next_scene_gets_another(
+    monkeypatch, tmp_path
+):
+    silent = tmp_path / "silent"
+    silent.write_text("#!/bin/sh\nexec sleep 600\n")
+    silent.chmod(0o755)
+    monkeypatch.setattr("backend.emulated_child.sys.executable", str(silent))
+    monkeypatch.setattr("backend.emulated_child.REST_S", 0.1)
+    told = []
+    process = EmulatedProcess(told.append)
+    for _ in range(2):
+        with pytest.raises(FaultError, match="SCENE-NOT-SET"):
+            process.set_scene(CHOICE, SETTINGS, FaultPlan(), Path("nowhere"))
+        assert process._child is None
+    process.close()
+    assert told == []

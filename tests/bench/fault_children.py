@@ -14,7 +14,7 @@ from typing import Any
 import psutil
 
 from backend.assembly import SimulatedBenchChoice
-from backend.core.faults import InputError
+from backend.core.faults import FaultError, InputError
 from backend.emulated import EmulatedBench
 from backend.exchange.foreign import read_foreign
 from backend.jobs.executor import LocalPool
@@ -32,8 +32,9 @@ from tests.bench.registry import Figure, figure
 READS = ("raises", "leaves", "killed", "crashes", "stopped", "deadlock")
 SERVES = ("raises", "leaves", "killed", "crashes", "stopped")
 """Its devices go on without the thread that waits for the next scene: a deadlock of that one is
-none of the bench."""
+told with the next scene."""
 NAMES = {"BENCH-GONE", "BENCH-STILL"}
+NEXT_SCENE_S = 15.0
 BEGUN_S = 0.1
 """Of its processor: a reader is done with a small file after some more."""
 Found = dict[str, float | str]
@@ -104,6 +105,29 @@ def emulated(way: str) -> Found:
     return closed(found, bench.close, before)
 
 
+def next_scene() -> Found:
+    """The thread that waits for the next scene deadlocks: what asking for that comes to."""
+    before = children()
+    bench = EmulatedBench(SimulatedBenchChoice(preset="quiet"), keep=Keep(None))
+    try:
+        bench.session.prepare(SceneChoice())
+        (child,) = (p for p in children() - before if "emulated_child" in p.cmdline()[-1])
+        os.kill(child.pid, WAYS["deadlock"])
+        until(lambda: failed_s(child.pid, 0.0))
+        asked_s, named = time.monotonic(), "nothing"
+        try:
+            bench.session.prepare(SceneChoice())
+        except FaultError as error:
+            named = error.fault.code
+        found: Found = {"told_s": time.monotonic() - asked_s, "named": named}
+        bench.session.prepare(SceneChoice())
+    finally:
+        begun_s = time.monotonic()
+        bench.close()
+    found["left"], found["closed_s"] = len(children() - before), time.monotonic() - begun_s
+    return found
+
+
 def reading(way: str) -> Found:
     """The reader of a foreign file, as soon as it is at work."""
     before, said = children(), list[str]()
@@ -166,7 +190,12 @@ def failing_children_without_a_window() -> list[Figure]:
         found |= {f"import {way}": reading(way) for way in READS}
         found |= {f"pool {way}": pooled(way) for way in WAYS}
         found |= {f"emulated bench {way}": emulated(way) for way in SERVES}
+        later = {"next scene deadlock": next_scene()}
+    named = later["next scene deadlock"]["named"]
+    text = f"a scene that is never set is told after ({named})"
+    found |= {case: {**one, "told_s": 0.0} for case, one in later.items()}
     return [
+        worst(later, "told_s", text, "s", NEXT_SCENE_S),
         worst(found, "told_s", "a failing child is named after, worst", "s", TOLD_S),
         worst(found, "closed_s", "everything is closed after it, worst", "s", GONE_S),
         worst(found, "left", "processes left after it", "", 0.0),

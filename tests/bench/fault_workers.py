@@ -68,7 +68,8 @@ def failing_workers() -> list[Figure]:
     with hooked() as environment:
         for way in WAYS:
             found[f"training {way}"] = window(environment, "worker", "training", way)
-        found["bench raises"] = window(environment, "worker", "bench", "raises")
+        for way in ("raises", "deadlock"):
+            found[f"bench {way}"] = window(environment, "worker", "bench", way)
         before = os.environ.get("PYTHONPATH")
         os.environ["PYTHONPATH"] = environment["PYTHONPATH"]
         try:

@@ -1,0 +1,160 @@
+"""The thread of a bench that deadlocks is told; one that is busy, or says what it does, is not."""
+
+import os
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from backend.assembly import simulated_session
+from backend.core import doing as doings
+from backend.core.doing import SharedLock, doing, done_by
+from backend.core.facts import FaultRaised
+from backend.core.standstill import LATEST_S, ThreadRest
+from backend.runs.bench_watch import LOOK_S, STILL_S, WORKS_S, BenchWatch
+from backend.runs.requests import SceneChoice
+from tests.backend.brisk import brisk_bench
+from tests.backend.devices.waiting import until
+
+pytestmark = pytest.mark.skipif(
+    not Path("/proc/self/task").is_dir(), reason="threads are seen on Linux only"
+)
+STEP_S = 0.02
+LOOKS = round((STILL_S + STEP_S) / LOOK_S) + 2
+"""So many looks tell a standstill: within 500 ms at one each 50 ms."""
+
+
+class Watched:
+    """A thread that does as it is told, its steps, and a watch on a hand-wound clock."""
+
+    def __init__(self, act):
+        self.told, self.steps, self.over = [], 0, threading.Event()
+        self.thread = threading.Thread(target=act, args=(self.over,), daemon=True)
+        self.thread.start()
+        number = self.thread.native_id
+        self.rest = ThreadRest(os.getpid(), number)
+        self.watch = BenchWatch(number, lambda: self.steps, STEP_S, self.told.append)
+        self.now_s = time.monotonic()
+
+    def rests(self):
+        """Whether it rests now."""
+        return self.rest.look(time.monotonic()) > 0.0
+
+    def look(self, times, every_s=LOOK_S):
+        for _ in range(times):
+            self.now_s += every_s
+            self.watch.look(self.now_s)
+        return [fault.what for fault in self.told]
+
+    def settled(self):
+        """Wait until the thread waits."""
+        until(self.rests)
+        return self
+
+    def ran(self):
+        """Wait until it has run."""
+        self.rests()
+        until(lambda: not self.rests())
+
+    def close(self):
+        self.over.set()
+        self.thread.join()
+
+
+@pytest.fixture
+def watched():
+    made = []
+
+    def make(act):
+        made.append(Watched(act))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+def waits(over):
+    over.wait()
+
+
+def polls(over):
+    while not over.wait(0.001):
+        pass
+
+
+def test_a_thread_that_waits_without_a_word_is_told_within_ten_looks(watched):
+    one = watched(waits).settled()
+    assert LOOKS * LOOK_S < 0.5
+    (what, *_) = one.look(LOOKS)
+    assert what.endswith("It waits for what does not come.")
+    assert one.told[0].code == "BENCH-STILL"
+    one.told.clear()
+    one.steps += 1
+    assert one.look(LOOKS // 2) == [], "it went on"
+
+
+def test_a_watch_that_comes_late_itself_knows_nothing_by_it(watched):
+    one = watched(waits).settled()
+    looks = int(STILL_S / LATEST_S)
+    assert one.look(looks, every_s=1e4) == [], "as if the whole computer had slept in between"
+
+
+def test_one_that_polls_is_told_only_after_long(watched):
+    one = watched(polls)
+    for _ in range(2 * LOOKS):
+        one.ran()
+        assert one.look(1) == []
+    one.watch._stepless_s = WORKS_S
+    one.ran()
+    assert one.look(1)[0].endswith("It works without an end.")
+
+
+def test_one_that_says_what_it_does_has_as_long_as_it_said(watched):
+    def sets(over):
+        with doing("sets the scene", 60.0), doing("waits for the devices", 1.0):
+            over.wait()
+
+    one = watched(sets).settled()
+    said = done_by(one.thread.native_id)
+    assert said.what == "sets the scene"
+    assert one.look(3 * LOOKS) == []
+    one.now_s = said.until_s
+    assert one.look(1)[0].endswith("It sets the scene, and that comes to no end.")
+    one.close()
+    assert done_by(one.thread.native_id) is None
+
+
+def test_who_waits_for_a_lock_that_others_hold_over_a_disk_says_so():
+    lock, number, through = SharedLock(), [], threading.Event()
+
+    def waiter():
+        number.append(threading.get_native_id())
+        with lock, lock:
+            through.set()
+
+    with lock:
+        other = threading.Thread(target=waiter)
+        other.start()
+        until(lambda: number and done_by(number[0]))
+        assert not through.is_set()
+    other.join()
+    assert through.is_set()
+    assert number[0] not in doings._NOW
+
+
+def test_a_deadlock_of_the_thread_of_the_bench_is_a_fault_and_told_again_after_a_reset():
+    session, facts, over = simulated_session(brisk_bench("quiet")), [], threading.Event()
+    session.prepare(SceneChoice())
+    session.hub.subscribe(lambda fact: facts.append(fact) if isinstance(fact, FaultRaised) else 0)
+    session.advance = over.wait
+    session.open()
+    until(lambda: facts)
+    assert [fact.fault.code for fact in facts] == ["BENCH-STILL"]
+    assert session.interlock.latched
+    session.reset()
+    until(lambda: len(facts) == 2)
+    session.close()
+    assert not over.is_set(), "closing waits for no thread that stands still"
+    over.set()

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import difflib
 import tomllib
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeGuard, TypeVar
 
 from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
 from backend.core.faults import InputError
 
@@ -44,9 +46,36 @@ def parse(model: type[Model], content: dict[str, Any], where: str) -> Model:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "(file)"
+        if first["type"] == "extra_forbidden":
+            near = _nearest(model, first["loc"])
+            raise InputError(
+                f"There is no setting '{key}'.",
+                where,
+                f"Write '{near}', if that is meant." if near else f"Take '{key}' out.",
+            ) from error
         raise InputError(
-            f"Bad value for '{key}': {first['msg']}.", where, f"Correct '{key}'."
+            f"Bad value for '{key}': {reason(first)}.", where, f"Correct '{key}'."
         ) from error
+
+
+def reason(error: ErrorDetails) -> str:
+    """Return what a validation says is wrong, in words."""
+    return error["msg"].removeprefix("Value error, ")
+
+
+def _nearest(model: type[BaseModel], place: tuple[int | str, ...]) -> str:
+    """Return the setting whose name is nearest to the unknown one at ``place``, "" if none is."""
+    within: object = model
+    for part in place[:-1]:
+        known = within.model_fields if _is_model(within) else {}
+        within = known[part].annotation if part in known else None
+    names = list(within.model_fields) if _is_model(within) else []
+    found = difflib.get_close_matches(str(place[-1]), names, n=1)
+    return ".".join([*map(str, place[:-1]), *found]) if found else ""
+
+
+def _is_model(kind: object) -> TypeGuard[type[BaseModel]]:
+    return isinstance(kind, type) and issubclass(kind, BaseModel)
 
 
 def load(model: type[Model], path: Path) -> Model:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import re
 import threading
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -34,6 +35,8 @@ JSON_VERSION = 1
 WATCHED_S = 3.0
 """How long the sensors are watched for the report on their time."""
 TEMPLATE = "lab.toml"
+FILLED_IN = ("ft.address", "gelsight.left.serial", "gelsight.right.serial")
+"""What a new file has no usable value for."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -103,9 +106,14 @@ def _devices(settings: LabSettings) -> dict[str, str]:
 
 
 def placeholders(settings: LabSettings) -> list[str]:
-    """Return the keys whose made-up default still stands."""
+    """Return the keys whose made-up default still stands, and those that were never filled in."""
     usual = LabSettings(version=1, name="usual", kind="hardware")
-    return [key for key in PLACEHOLDERS if _at(settings, key) == _at(usual, key)]
+    made_up = [key for key in PLACEHOLDERS if _at(settings, key) == _at(usual, key)]
+    return [*(key for key in FILLED_IN if _is_blank(_at(settings, key))), *made_up]
+
+
+def _is_blank(value: object) -> bool:
+    return isinstance(value, str) and re.search("FILL.IN", value) is not None
 
 
 def _at(settings: Settings, key: str) -> object:

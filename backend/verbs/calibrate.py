@@ -28,7 +28,13 @@ from backend.core.faults import InputError
 from backend.runs.requests import CalibrateRequest
 from backend.runs.store import calibrations_folder
 from backend.runs.words import hand_over
-from backend.verbs.connecting import add_lab_arguments, ask_on_a_thread, lab_bench
+from backend.verbs.connecting import (
+    add_lab_arguments,
+    add_scene_arguments,
+    ask_on_a_thread,
+    lab_bench,
+    name_scene,
+)
 from backend.verbs.ctrl_c import ctrl_c_cancels
 from backend.verbs.screen import Advance, Screen
 
@@ -39,6 +45,7 @@ if TYPE_CHECKING:
 NAME = "calibrate"
 HELP = "measure and accept calibrations, or show how they stand"
 JSON_VERSION = 1
+BOTTOM = "square15"
 TITLES: dict[str, str] = {kind.what: kind.title for kind in KINDS.values()}
 
 
@@ -46,8 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments of this verb."""
     parser.add_argument("what", choices=(*WHATS, "status"), help="what to measure, or 'status'")
     parser.add_argument("--accept", action="store_true", help="keep the result if it is acceptable")
-    parser.add_argument("--piece", default="pot", help="held piece (default: pot)")
-    parser.add_argument("--bottom", default="square15", help="board or bottom (default: square15)")
+    add_scene_arguments(parser, BOTTOM, "board or bottom")
     parser.add_argument(
         "--origin", type=float, nargs=2, default=(0.0, 0.0), metavar=("X", "Y"),
         help="centre of the bottom in the frame of the arm, mm (default: 0 0)",
@@ -83,6 +89,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     if args.what == "status":
         return _status(_store_of(args), screen)
     what: What = args.what
+    name_scene(args, BOTTOM)
     if args.hand_over and screen.json:
         raise InputError(
             "Nobody would see when to hold the piece.", "--hand-over", "Leave out --json."

@@ -32,8 +32,10 @@ from backend.runs.words import hand_over, mounting
 from backend.verbs.attending import room_made
 from backend.verbs.connecting import (
     add_lab_arguments,
+    add_scene_arguments,
     lab_bench,
     lab_choice,
+    name_scene,
     refuse_lab_arguments,
 )
 from backend.verbs.ctrl_c import ctrl_c_cancels
@@ -48,14 +50,14 @@ if TYPE_CHECKING:
 NAME = "collect"
 HELP = "collect labelled probes into a dataset"
 JSON_VERSION = 1
+BOTTOM = "circle15"
 LISTED = 12
 """So many findings are printed; ``--json`` has all of them."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments of this verb."""
-    parser.add_argument("--piece", default="pot", help="grasped piece (default: pot)")
-    parser.add_argument("--bottom", default="circle15", help="bottom piece (default: circle15)")
+    add_scene_arguments(parser, BOTTOM, "bottom piece")
     parser.add_argument("--count", type=int, default=20, help="probes to collect (default: 20)")
     parser.add_argument("--pattern", choices=("random", "grid", "adaptive"), default="random")
     parser.add_argument("--within", type=float, metavar="MM", help="largest displacement in x, y")
@@ -110,6 +112,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     lab = args.bench is not None and is_lab_file(Path(args.bench))
     if not lab:
         refuse_lab_arguments(args)
+    name_scene(args, BOTTOM)
     # No jig is taught on a lab's bench: the operator hands the piece over.
     args.hand_over |= lab
     if args.hand_over and screen.json:

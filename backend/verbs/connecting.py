@@ -10,6 +10,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from backend.config.lab import is_lab_file, load_lab
 from backend.core.faults import FaultError, InputError, RefusedError
 from backend.core.niceness import stepping_forward
 from backend.runs.store import models_folder
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from backend.session import Keep, Session
 
 LOOK_S = 0.05
+PIECE = "pot"
+"""Held on a bench whose file names none."""
 START_OVERRIDE = 10
 """Percent of every speed in air, unless --override says otherwise."""
 
@@ -38,6 +41,24 @@ def add_lab_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PERCENT",
         help=f"with a lab file: share of every speed in air (default: {START_OVERRIDE})",
     )
+
+
+def add_scene_arguments(parser: argparse.ArgumentParser, bottom: str, of_bottom: str) -> None:
+    """Declare what stands on the bench; ``name_scene`` fills in what was left out."""
+    at_lab = "with a lab file what it names"
+    parser.add_argument("--piece", help=f"grasped piece (default: {PIECE}; {at_lab})")
+    parser.add_argument("--bottom", help=f"{of_bottom} (default: {bottom}; {at_lab})")
+
+
+def name_scene(args: argparse.Namespace, bottom: str) -> None:
+    """Fill in piece and bottom where they were left out: a lab file says what stands there.
+
+    Raises ``InputError`` for a lab file that cannot be read.
+    """
+    at_lab = args.bench is not None and is_lab_file(Path(args.bench))
+    lab = load_lab(Path(args.bench)).settings if at_lab else None
+    args.piece = args.piece or (PIECE if lab is None else lab.piece)
+    args.bottom = args.bottom or (bottom if lab is None else lab.bottom)
 
 
 def refuse_lab_arguments(args: argparse.Namespace) -> None:

@@ -12,6 +12,9 @@ import sys
 from collections.abc import Sequence
 from typing import TextIO
 
+from pydantic import ValidationError
+
+from backend.config.load import reason
 from backend.emulators.faults import AMOUNTS
 from backend.emulators.front import Front
 
@@ -74,6 +77,8 @@ class TypedFaults:
             kind, _, much = kind.partition("=")
             name, _ = AMOUNTS.get(kind, ("hz", ""))
             struck.inject(kind, for_s, **({name: float(much)} if much else {}))
+        except ValidationError as error:
+            return f"'{line.strip()}' is no fault: {reason(error.errors()[0])}. {USAGE}"
         except ValueError:
             return f"'{line.strip()}' is no fault of {', '.join(named)}. {USAGE}"
         until = "until 'clear'" if for_s is None else f"for {for_s:g} s"

@@ -29,9 +29,11 @@ from backend.runs.store import calibrations_folder, data_folder, models_folder
 from backend.verbs.attending import attend
 from backend.verbs.connecting import (
     add_lab_arguments,
+    add_scene_arguments,
     ask_on_a_thread,
     lab_bench,
     lab_choice,
+    name_scene,
     refuse_lab_arguments,
 )
 from backend.verbs.ctrl_c import ctrl_c_cancels
@@ -47,6 +49,7 @@ if TYPE_CHECKING:
 NAME = "stack"
 HELP = "stack a piece on the simulated bench or on a lab's devices, headless"
 JSON_VERSION = 1
+BOTTOM = "short"
 COLUMNS = ("outcome", "probes", "excess", "margin mm", "reason")
 INPUT_CODE = "INPUT"
 """Bad input is told once, by the command line itself."""
@@ -54,11 +57,8 @@ INPUT_CODE = "INPUT"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments of this verb."""
-    parser.add_argument("--piece", default="pot", help="grasped piece (default: pot)")
-    parser.add_argument(
-        "--bottom",
-        default="short",
-        help="support, bottom-up and joined by + for a tower, such as short+long (default: short)",
+    add_scene_arguments(
+        parser, BOTTOM, "support, bottom-up and joined by + for a tower, such as short+long"
     )
     parser.add_argument("--seed", type=int, default=0, help="trial k uses seed + k")
     parser.add_argument("--trials", type=int, default=1)
@@ -120,6 +120,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
         refuse_lab_arguments(args)
         if any(args.origin):
             raise InputError("Only devices need that.", "--origin", "Name a lab file with --bench.")
+    name_scene(args, BOTTOM)
     mode: Mode = args.mode or ("approve" if lab else "auto")
     if mode != "auto" and screen.json:
         raise InputError("Nobody would see what to approve.", "--mode", "Leave out --json.")

@@ -2,6 +2,7 @@
 
 import pytest
 
+from backend.config.hardware import HardwareSettings
 from backend.config.load import MAX_BYTES, load, parse
 from backend.config.method import ProbeSettings, StackSettings
 from backend.core.faults import InputError
@@ -52,6 +53,23 @@ def test_the_error_names_file_and_key(tmp_path, text, key):
     assert caught.value.where == str(path)
     assert f"'{key}" in caught.value.what
     assert caught.value.fix
+
+
+@pytest.mark.parametrize(
+    ("text", "said", "fix"),
+    [
+        ("[ft]\nrate = 3", "There is no setting 'ft.rate'.", "'ft.rate_hz'"),
+        ("[gelsigt.left]", "There is no setting 'gelsigt'.", "'gelsight'"),
+        ("[ft]\nzzz = 3", "There is no setting 'ft.zzz'.", "Take 'ft.zzz' out."),
+    ],
+)
+def test_a_setting_that_nobody_knows_is_called_so_with_the_nearest_one(tmp_path, text, said, fix):
+    path = tmp_path / "bench.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        load(HardwareSettings, path)
+    assert caught.value.what == said
+    assert fix in caught.value.fix
 
 
 def test_broken_toml_names_the_line(tmp_path):

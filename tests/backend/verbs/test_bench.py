@@ -1,10 +1,13 @@
 """``touchdown bench``, and what other verbs refuse of a lab file before touching a device."""
 
 import json
+from argparse import ArgumentParser
 
 import pytest
 
 from backend.__main__ import main
+from backend.verbs import collect, stack
+from backend.verbs.connecting import name_scene
 
 
 @pytest.fixture
@@ -20,9 +23,27 @@ def test_a_new_file_is_read_back_with_what_is_still_made_up(lab, capsys):
     told = json.loads(capsys.readouterr().out)
     assert (told["name"], told["kind"], told["limits"]["trip_n"]) == ("My lab", "hardware", 40.0)
     assert told["devices"]["arm"] == "melfa 192.168.0.20:10001"
-    assert "melfa.mxt.error_overspeed" in told["placeholders"]
+    blank = {"ft.address", "gelsight.left.serial", "gelsight.right.serial"}
+    assert {"melfa.mxt.error_overspeed"} | blank <= set(told["placeholders"])
     assert main(["bench", str(lab)]) == 0
     assert "put in the lab's own numbers" in capsys.readouterr().out
+
+
+def test_what_stands_there_is_what_the_lab_file_says_unless_it_is_named(lab):
+    text = lab.read_text("utf-8").replace('bottom = "short"', 'bottom = "square15"')
+    lab.write_text(text.replace('piece = "pot"', 'piece = "barrel"'), "utf-8")
+
+    def scene(verb, *words):
+        parser = ArgumentParser()
+        verb.add_arguments(parser)
+        args = parser.parse_args(words)
+        name_scene(args, verb.BOTTOM)
+        return args.piece, args.bottom
+
+    for verb in (collect, stack):
+        assert scene(verb, "--bench", str(lab)) == ("barrel", "square15")
+        assert scene(verb, "--bench", str(lab), "--bottom", "hex20") == ("barrel", "hex20")
+        assert scene(verb) == ("pot", verb.BOTTOM)
 
 
 def test_a_file_that_is_there_is_not_overwritten(lab, capsys):

@@ -42,6 +42,12 @@ def test_what_is_no_fault_is_said_and_does_nothing(fronts, line):
     assert on(fronts[0]) == ()
 
 
+def test_a_wrong_word_is_answered_with_the_kinds_there_are(fronts):
+    typed = TypedFaults(fronts, io.StringIO())
+    assert "use one of lost, flip" in typed.obey("help")
+    assert "'hz', how many samples a second, belongs to 'slow'" in typed.obey("force_torque slow")
+
+
 def test_lines_come_as_they_are_typed_and_end(fronts):
     read, write = os.pipe()
     with os.fdopen(read) as source:

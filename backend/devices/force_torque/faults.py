@@ -27,6 +27,17 @@ def link_fault(what: str) -> Fault:
     )
 
 
+def driver_fault(error: Exception) -> Fault:
+    """Return the fault of a language that failed on something it did not expect."""
+    return Fault(
+        "FT-DRIVER",
+        f"The driver of the force/torque sensor failed: {type(error).__name__}: {error}.",
+        "No wrench is measured.",
+        "Report the text of the log to who wrote the driver; then connect the sensor again.",
+        NAME,
+    )
+
+
 def sensor_fault(what: str) -> Fault:
     """Return the fault that the sensor itself reports."""
     return Fault(

@@ -17,6 +17,8 @@ from backend.devices.protocols import Identity
 from backend.wire.wrench import Wrench
 
 Answer = TypeVar("Answer")
+AXES = 6
+"""Fx Fy Fz Tx Ty Tz."""
 
 
 class NotAnsweredError(TouchdownError):
@@ -48,6 +50,11 @@ class Greeting:
     rated: tuple[float, ...]
     period_s: float
     numbered: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what no reader could use; ``ValueError``."""
+        if len(self.rated) != AXES or not self.period_s > 0:
+            raise ValueError(f"{AXES} rated loads and a period are needed, not {self}")
 
 
 class Refusals(NamedTuple):

@@ -14,7 +14,13 @@ from backend.core.faults import Fault, FaultError
 from backend.core.flow import FloatArray
 from backend.core.stream import SampleStream
 from backend.devices.arrivals import Arrivals
-from backend.devices.force_torque.faults import NAME, OVERLOAD, link_fault, sensor_fault
+from backend.devices.force_torque.faults import (
+    NAME,
+    OVERLOAD,
+    driver_fault,
+    link_fault,
+    sensor_fault,
+)
 from backend.devices.force_torque.language import Greeting, Language, NotAnsweredError
 from backend.devices.force_torque.links import Link
 from backend.devices.force_torque.readout import LATE_S, Readout
@@ -187,6 +193,9 @@ class ForceTorqueReader:
         except WIRE_TROUBLE as error:
             link.close()
             raise FaultError(link_fault(f"{error}.")) from error
+        except Exception as error:
+            link.close()
+            raise FaultError(driver_fault(error)) from error
         except BaseException:
             link.close()
             raise
@@ -222,12 +231,15 @@ class ForceTorqueReader:
                     discarded = language.refusals.discarded
                     self._resynchronised += discarded > before
                 if self._first.is_set() and now_s - good_s > self._settings.silence_s:
-                    self._fail("The sensor has fallen silent.")
+                    self._fail(link_fault("The sensor has fallen silent."))
                 elif language.refusals.in_a_row >= BAD_LIMIT:
-                    self._fail("The sensor sends nothing that can be read.")
+                    self._fail(link_fault("The sensor sends nothing that can be read."))
             language.stop(link)
         except OSError as error:
-            self._fail(f"The port is lost: {error}.")
+            self._fail(link_fault(f"The port is lost: {error}."))
+        except Exception as error:
+            self._fail(driver_fault(error))
+            raise
         finally:
             link.close()
 
@@ -247,9 +259,9 @@ class ForceTorqueReader:
         self._first.set()
         return True
 
-    def _fail(self, what: str) -> None:
+    def _fail(self, fault: Fault) -> None:
         self._stop.set()
-        self._latch(link_fault(what))
+        self._latch(fault)
         self._first.set()
 
     def _latch(self, fault: Fault) -> None:

@@ -6,6 +6,7 @@ import time
 import pytest
 
 from backend.config.hardware import ForceTorqueSettings, HardwareSettings
+from backend.core.faults import FaultError
 from backend.devices.force_torque.language import Greeting
 from backend.devices.force_torque.leptrino import LeptrinoLanguage
 from backend.devices.force_torque.reader import BAD_LIMIT, ForceTorqueReader
@@ -61,3 +62,53 @@ def test_twenty_refused_frames_in_a_row_are_a_lost_link(count, ends):
         until(lambda: reader.health.received == 3)
         assert reader.state is DeviceState.READY
     reader.close()
+
+
+class Broken(Started):
+    """Meets something that its author did not think of."""
+
+    where = ""
+
+    def start(self, link, cancel):
+        if self.where == "start":
+            raise KeyError("serial")
+        return super().start(link, cancel)
+
+    def take(self, data):
+        if self.where == "take" and data == GOOD[1]:
+            raise IndexError("tuple index out of range")
+        return super().take(data)
+
+
+@pytest.mark.parametrize(
+    ("where", "said"), [("start", "KeyError: 'serial'"), ("take", "IndexError: tuple index")]
+)
+def test_a_driver_that_fails_is_a_fault_with_its_own_words(where, said, monkeypatch):
+    raised = []
+    monkeypatch.setattr(threading, "excepthook", lambda args: raised.append(args.exc_type))
+    monkeypatch.setattr(Broken, "where", where)
+    line = Line()
+    settings = ForceTorqueSettings(driver="leptrino", silence_s=60.0)
+    reader = ForceTorqueReader(
+        lambda: Broken(HardwareSettings(), ""), lambda _: line, settings, time.monotonic
+    )
+    if where == "start":
+        with pytest.raises(FaultError, match=said) as caught:
+            reader.connect(5.0, threading.Event())
+        fault = caught.value.fault
+        assert reader.state is DeviceState.CLOSED
+    else:
+        reader.connect(5.0, threading.Event())
+        line.waiting.append(GOOD[1])
+        until(lambda: reader.state is DeviceState.FAULT)
+        fault = reader.fault
+    reader.close()
+    assert fault.code == "FT-DRIVER"
+    assert said in fault.what
+    assert raised == ([IndexError] if where == "take" else [])
+
+
+def test_a_greeting_has_six_rated_loads_and_a_period():
+    for rated, period_s in (((1.0, 2.0), 0.001), ((1.0,) * 6, 0.0)):
+        with pytest.raises(ValueError, match="6 rated loads and a period"):
+            Greeting(Identity("a", "b", "c", ""), rated, period_s)

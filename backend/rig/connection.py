@@ -172,7 +172,14 @@ class Connection:
         if name == ARM and self._is_away(ARM_NEEDS):
             raise FaultError(NO_WRIST)
         device.close()
-        device.connect(self._limit_s, self._cancel)
+        try:
+            device.connect(self._limit_s, self._cancel)
+        except TouchdownError:
+            raise
+        except Exception as error:
+            # A driver of another package may fail on anything: the other devices go on.
+            device.close()
+            raise FaultError(_driver_fault(name, error)) from error
         require_serial(device, self._known.get(name, ""))
         if device.identity is not None:
             self._known[name] = device.identity.serial
@@ -246,6 +253,16 @@ def fault_of(device: Device) -> Fault | None:
     """Return why a device is in FAULT, None if it does not say."""
     fault = getattr(device, "fault", None)
     return fault if isinstance(fault, Fault) else None
+
+
+def _driver_fault(name: str, error: Exception) -> Fault:
+    return Fault(
+        "DRIVER-FAILED",
+        f"The driver of {name} failed: {type(error).__name__}: {error}.",
+        "The device is not connected.",
+        "Tell who wrote the driver; then connect the device again.",
+        name,
+    )
 
 
 def _needs(device: Device) -> Literal["", "home", "acknowledge"]:

@@ -68,6 +68,21 @@ def test_one_that_fails_says_at_which_step_and_the_others_go_on():
     assert connection.ready
 
 
+def test_a_driver_that_fails_in_its_own_way_is_told_and_the_others_go_on(monkeypatch):
+    connection, devices, _ = made()
+
+    def broken(limit_s, cancel):
+        raise KeyError("gain")
+
+    monkeypatch.setattr(devices["tactile_left"], "connect", broken)
+    connection.begin()
+    connection.wait(60.0)
+    failed = line(connection, "tactile_left")
+    assert failed.fault.code == "DRIVER-FAILED"
+    assert "tactile_left failed: KeyError: 'gain'" in failed.fault.what
+    assert connection.missing() == ("tactile_left",)
+
+
 def test_the_arm_is_not_switched_on_without_the_wrist_sensor():
     connection, devices, log = made()
     devices["force_torque"].fails_at = "reach"

@@ -59,8 +59,8 @@ class ReleaseEvidence:
     """Everything that must hold before the jaws may open on a run's request.
 
     ``press_n`` and its age are read after unloading; ``moved_mm`` is the largest travel of the arm
-    in the last 200 ms; ``width_change_mm`` against the grasp; ``approved`` is True where no
-    approval is asked for.
+    as it stands (``travelled_mm``); ``width_change_mm`` against the grasp; ``approved`` is True
+    where no approval is asked for.
     """
 
     verdict_stable: bool

@@ -16,7 +16,7 @@ class JigEvidence:
     """What was measured over the jig.
 
     ``from_jig_mm``: largest distance on one axis from the taught place; ``moved_mm``: largest
-    travel of the last 200 ms; ``force_n``: largest force beyond gripper and piece.
+    travel as it stands (``travelled_mm``); ``force_n``: largest force beyond gripper and piece.
     """
 
     from_jig_mm: float

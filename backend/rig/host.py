@@ -15,6 +15,7 @@ import numpy as np
 
 from backend.core.faults import Fault, FaultError, TouchdownError
 from backend.core.stream import Samples, SampleStream
+from backend.devices.at_rest import last_places_mm, travelled_mm
 from backend.devices.held import Right
 from backend.devices.homing import Homing
 from backend.devices.interlock import Limits
@@ -32,7 +33,7 @@ from backend.rig.core import Inbox, Outbox, RigCore
 from backend.rig.memory import RIG_BEAT, Ring, SharedMemory
 from backend.rig.messages import Message, error_row, failed, fault_row
 from backend.rig.orders import JAWS, MOVES, Orders
-from backend.rig.release import STILL_S, Measured, refuse_opening
+from backend.rig.release import Measured, refuse_opening
 from backend.rig.rows import Row, arm_row, gripper_row, sensor_row, slow_row
 from backend.rig.workers import Workers
 
@@ -359,14 +360,13 @@ class RigHost:
     def measured(self) -> Measured:
         """Return what the rig itself measures now."""
         now_s, devices = self._now_s(), self.devices
-        poses = devices.poses.window(now_s - STILL_S, now_s).values
         samples = devices.samples.window(now_s - 1.0, now_s)
         finite = np.isfinite(samples.values).all(axis=1)
         status = devices.gripper.status()
         return Measured(
             press_n=np.nan if self._traced is None else self._traced.press_n,
             wrench_age_s=now_s - float(samples.t_s[finite][-1]) if finite.any() else np.nan,
-            moved_mm=float(np.ptp(poses, axis=0).max()) if len(poses) else np.nan,
+            moved_mm=travelled_mm(last_places_mm(devices.poses, now_s)),
             width_change_mm=status.width_mm - self._gripped_mm,
             holding=status.holding,
             devices_ready=all(d.state is DeviceState.READY for d in devices.named().values()),

@@ -19,7 +19,6 @@ from backend.devices.interlock import (
 )
 from backend.devices.putting_back import jig_refusal
 
-STILL_S = 0.2
 OLD_S = 0.05
 """A wrench older than this is no evidence."""
 
@@ -28,8 +27,9 @@ OLD_S = 0.05
 class Measured:
     """What the rig itself measures: NaN where it does not know.
 
-    ``press_n``: by the contact law's own zero; ``moved_mm``: largest travel of the arm in the last
-    ``STILL_S``; ``width_change_mm`` since the piece was gripped; ``devices_ready``: all of them.
+    ``press_n``: by the contact law's own zero; ``moved_mm``: largest travel of the arm as it
+    stands (``travelled_mm``); ``width_change_mm`` since the piece was gripped; ``devices_ready``:
+    all of them.
     """
 
     press_n: float

@@ -10,6 +10,7 @@ import numpy as np
 from backend.core.facts import HandOverAwaited, PhaseEntered, Said
 from backend.core.faults import Fault, FaultError, RefusedError
 from backend.core.flow import Pose
+from backend.devices.at_rest import last_places_mm, travelled_mm
 from backend.devices.putting_back import JigEvidence
 from backend.runs.bench import Bench
 from backend.runs.motions import MOVE_S, go, rest, take_piece
@@ -143,12 +144,12 @@ def _vertical_n(bench: Bench) -> float:
 
 def _evidence(bench: Bench, jig: Pose) -> JigEvidence:
     now_s = bench.now_s()
-    poses = bench.arm.poses.window(now_s - 0.2, now_s).values
+    places_mm = last_places_mm(bench.arm.poses, now_s)
     wrench = bench.sensing.wrench.window(now_s - 0.1, now_s).values
     target = np.array([jig.x_mm, jig.y_mm, jig.z_mm])
     return JigEvidence(
-        from_jig_mm=float(np.abs(poses[-1] - target).max()) if len(poses) else math.nan,
-        moved_mm=float(np.ptp(poses, axis=0).max()) if len(poses) else math.nan,
+        from_jig_mm=float(np.abs(places_mm[-1] - target).max()) if len(places_mm) else math.nan,
+        moved_mm=travelled_mm(places_mm),
         force_n=float(np.abs(wrench[:, :3].mean(axis=0)).max()) if len(wrench) else math.nan,
         holding=bench.gripper.status().holding,
     )

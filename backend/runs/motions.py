@@ -10,7 +10,8 @@ import numpy as np
 from backend.core.facts import PhaseEntered
 from backend.core.faults import Fault, FaultError, RefusedError
 from backend.core.flow import Pose
-from backend.devices.interlock import ReleaseEvidence
+from backend.devices.at_rest import last_places_mm, travelled_mm
+from backend.devices.interlock import STATIONARY_MM, ReleaseEvidence
 from backend.runs.bench import Bench
 from backend.runs.judged import Judged
 from backend.runs.plan import Plan, Waiting, motion_done
@@ -30,6 +31,8 @@ WRENCH_AGE_LIMIT_S = 0.015
 """At release the wrench is at most 1.5 control cycles of 10 ms older than the sensor makes it."""
 FRESH_S = 0.5
 """So long a younger wrench is waited for."""
+REST_S = 1.0
+"""So long it is waited for an arm to stand whose controller holds it by a program of its own."""
 NO_PIECE = (
     "The gripper closed on nothing: no piece is between the jaws. Open them and hold one between "
     "them, or set the simulated bench anew (Ctrl+N in Operate)."
@@ -159,6 +162,7 @@ def release(bench: Bench, judged: Judged, *, approved: bool) -> Plan[None]:
     unload = bench.arm.unload(settings.unload_n, bench.settings.probe.approach_mm_s)
     yield from motion_done(unload, MOVE_S, "the arm to unload")
     yield from rest(bench, settings.settle_s)
+    yield from at_rest(bench)
     yield PhaseEntered(bench.now_s(), "release", probe)
     yield from fresh_wrench(bench)
     evidence = release_evidence(bench, judged, width_mm, approved=approved)
@@ -178,6 +182,17 @@ def open_and_rise(
     here = bench.arm.pose(max_age_s=0.2)
     up = Pose(here.x_mm, here.y_mm, here.z_mm + settings.rise_mm)
     yield from go(bench, up, "the arm to rise")
+
+
+def at_rest(bench: Bench) -> Plan[None]:
+    """Wait until the arm stands by the places that it tells, ``REST_S`` at most."""
+    until_s = bench.now_s() + REST_S
+
+    def stands() -> bool:
+        places_mm = last_places_mm(bench.arm.poses, bench.now_s())
+        return travelled_mm(places_mm) <= STATIONARY_MM or bench.now_s() >= until_s
+
+    yield Waiting(stands, 2.0 * REST_S, "the arm to stand still")
 
 
 def fresh_wrench(bench: Bench) -> Plan[None]:
@@ -206,11 +221,11 @@ def release_evidence(
     window = bench.sensing.wrench.window(now_s - 0.1, now_s)
     sampled = len(window.t_s) > 0
     press_n = float(np.mean(window.values[:, 2])) if sampled else math.nan
-    poses = bench.arm.poses.window(now_s - 0.2, now_s).values
+    places_mm = last_places_mm(bench.arm.poses, now_s)
     recording, onset_s = judged.felt.episode.recording, judged.felt.episode.onset_s
     slip_mm = math.nan
-    if recording is not None and len(poses):
-        slip_mm = slip_since_loading(recording, onset_s, float(poses[-1, 2]), press_n)
+    if recording is not None and len(places_mm):
+        slip_mm = slip_since_loading(recording, onset_s, float(places_mm[-1, 2]), press_n)
     return ReleaseEvidence(
         verdict_stable=judged.stability.stable,
         verdict_of_last_probe=bench.sensing.tare_s < judged.at_s,
@@ -222,7 +237,7 @@ def release_evidence(
         press_n=press_n,
         wrench_age_s=now_s - float(window.t_s[-1]) if sampled else math.nan,
         wrench_age_limit_s=bench.wrench_late_s + WRENCH_AGE_LIMIT_S,
-        moved_mm=float(np.ptp(poses, axis=0).max()) if len(poses) else math.nan,
+        moved_mm=travelled_mm(places_mm),
         width_change_mm=status.width_mm - width_mm,
         holding=status.holding,
         approved=approved,

@@ -83,6 +83,8 @@ class SteppedWires:
         self.packets: list[tuple[float, bytes]] = []
         self.also: Callable[[int], None] = self.clock.wind
         """Moves everything else, the clock included, on by so many microseconds."""
+        self.meanwhile: Callable[[], None] = lambda: None
+        """What goes on while an order waits for its answer."""
         self.stalled = False
         """The driver itself is stopped, as by a signal; the controller is not."""
         self.unplugged = False
@@ -112,9 +114,11 @@ class SteppedWires:
     def finish(self, ticket: Ticket) -> None:
         while not ticket.done and self._cycle is not None:
             self.advance(CYCLE_US)
+            self.meanwhile()
 
     def pause(self, seconds: float) -> None:
         self.advance(round(seconds * 1e6))
+        self.meanwhile()
 
     def watch_anew(self) -> None:
         self.times, self._late_us = CycleTimes(), 0

@@ -11,6 +11,7 @@ from backend.config.bench_facts import simulated_facts
 from backend.config.method import StackSettings
 from backend.core.faults import FaultError
 from backend.core.stream import SampleStream
+from backend.devices.melfa.force_program import PLACE_LATE_S
 from backend.devices.sim.bench import BenchStreams, SimulatedBench
 from backend.objects.catalogue import load_catalogue
 from backend.rig.host import Devices, RigHost
@@ -126,9 +127,10 @@ class InlineLink:
 
 
 class InlineBench:
-    """Holds the session; ``links`` are those of its scenes."""
+    """Holds the session; ``links`` are those of its scenes, ``mode`` the stiffness mode."""
 
-    def __init__(self, method=None):
+    def __init__(self, method=None, mode="software"):
+        self._mode = mode
         self._settings, self._method = SimulatedBenchChoice().settings(), method or StackSettings()
         self._catalogue, facts = load_catalogue(None), simulated_facts(self._settings)
         self._models = Models(None, facts, self._method.belief.pitch_mm)
@@ -151,12 +153,13 @@ class InlineBench:
         now_s = bench.clock.now_s
         for device in (bench.force_torque, bench.gripper):
             device.connect(1.0, threading.Event())
-        driver, wires = on_bench(bench)
+        driver, wires = on_bench(bench, stiffness_mode=self._mode)
         driver.connect(1.0, threading.Event())
         devices = Devices(driver, bench.gripper, bench.force_torque, raw.samples, driver.poses)
         link = InlineLink(self.session.interlock, devices, now_s)
         link.samples, link.poses = raw.samples, raw.poses
         link.start()
+        wires.meanwhile = link.round
         self.links.append(link)
         self._ends.callback(link.host.leave)
 
@@ -168,6 +171,7 @@ class InlineBench:
         advance(5 * ROUND_US)
         open_ones = {"arm", "gripper", "force_torque"}
         arm = RigArm("arm", link, now_s, open_ones)
+        arm.place_late_s = PLACE_LATE_S if self._mode == "controller" else 0.0
         gripper = RigGripper("gripper", link, now_s, open_ones)
         wrist = RigForceTorque("force_torque", link, now_s, open_ones)
         loose = self._settings.wrist

@@ -144,9 +144,13 @@ def wired(request):
 
 
 def finish(bench, motion):
+    wait(bench, lambda: motion.done)
+
+
+def wait(bench, condition):
     end_s = time.monotonic() + 30.0
-    while not motion.done:
-        assert time.monotonic() < end_s, "the motion does not end"
+    while not condition():
+        assert time.monotonic() < end_s, "it does not come"
         bench.rest(0.01)
 
 
@@ -176,10 +180,11 @@ def test_it_takes_the_piece_holds_it_with_the_force_and_lets_it_go(bench):
         grip.result()
     finish(bench, grip)
     grip.result()
+    # Through a rig what it tells may be a moment older than the end of the motion.
+    wait(bench, lambda: abs(bench.gripper.status().force_n - 10.0) <= 1.5)
     held = bench.gripper.status()
     assert held.holding
     assert held.width_mm < wide.width_mm
-    assert held.force_n == pytest.approx(10.0, abs=1.5)
     opening = bench.let_go(held.width_mm + 4.0)
     finish(bench, opening)
     opening.result()

@@ -37,6 +37,7 @@ MODULES: tuple[str, ...] = (
     "tests.bench.queues",
     "tests.bench.arm",
     "tests.bench.arm_rig",
+    "tests.bench.fault_cores",
     "tests.bench.faults",
     "tests.bench.faults_pictures",
     "tests.bench.wired",

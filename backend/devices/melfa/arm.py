@@ -69,14 +69,13 @@ class MelfaArm:
         self._measured = MeasuredPlaces(now_s, poses)
         self.poses = self._measured.poses
         """Measured position of ``G``, mm in the bench, once per cycle."""
-        self._orders = Orders(settings)
+        self._orders, self.steps = Orders(settings), Steps()
         self._core = StreamCore(settings, self._orders.placing)
         self._watch: Watch | None = None
         self._stopped = threading.Event()
         self._console = Console(wires, settings, self._stopped, threading.Event())
         self._force = ForceProgram(lambda: self._console, wires, settings)
         self._lock = threading.Lock()
-        self.steps = Steps()
         self.state = DeviceState.CLOSED
         """Where the connection is in its life."""
         self.identity: Identity | None = None
@@ -104,7 +103,7 @@ class MelfaArm:
         self.close()
         self.state, self.fault = DeviceState.CONNECTING, None
         self._stopped.clear()
-        self._console = Console(self._wires, self._settings, self._stopped, cancel)
+        self._console = self._console.again(cancel)
         self._measured.begin()
         self.steps.begin()
         try:
@@ -219,6 +218,7 @@ class MelfaArm:
             self._core.stop(watch.fault)
             self._force.end(watch.fault)
             self._latch(watch.fault)
+            self._console.alarm = watch.error
             watch.fault = None
 
     def _latched(self) -> Fault | None:

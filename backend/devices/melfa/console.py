@@ -6,6 +6,7 @@ import math
 import re
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 
 from backend.config.hardware import MelfaSettings
 from backend.core.faults import FaultError
@@ -50,13 +51,21 @@ class Console:
         settings: MelfaSettings,
         stopped: threading.Event,
         cancel: threading.Event,
+        alarm: int = 0,
     ) -> None:
+        """``alarm``: the error of the controller that the operator was told, 0 for none."""
         self._wires, self._settings = wires, settings
+        self.alarm = alarm
+        """The controller's error that was told last: only that one is reset."""
         self._stopped, self._cancel = stopped, cancel
         self.unlimited = False
         """Whether the controller would wait for packets for ever, and that was allowed."""
         self.notice = ""
         """What the operator should know of this connection; "" for nothing."""
+
+    def again(self, cancel: threading.Event) -> Console:
+        """Return the console of the next connection, which knows what was told in this one."""
+        return Console(self._wires, self._settings, self._stopped, cancel, self.alarm)
 
     def ask(self, command: str, argument: str = "", timeout_s: float = ANSWER_S) -> str:
         """Send one request and return its answer."""
@@ -75,6 +84,7 @@ class Console:
         try:
             identity = self._identify()
             reached("identify")
+            self._reset_alarm()
             self._require_no_error()
             self._require_time_limit()
             self.notice = notice_of_idle_check(self._wires, self._settings, self._go_on)
@@ -155,8 +165,20 @@ class Console:
             raise FaultError(other_arm_fault(opened.robot_type, wanted))
         return Identity("Mitsubishi", opened.robot_type, self._settings.host, opened.version)
 
+    def _reset_alarm(self) -> None:
+        """Reset the error of which the operator knows: whoever connects again means that.
+
+        The controller refuses while an emergency stop is pressed, and its error is told again.
+        """
+        if self.alarm and read_error(self.ask("ERROR"))[0] == self.alarm:
+            self._go_on()
+            self.ask("CNTL", "ON")
+            with suppress(FaultError):
+                self.ask("RSTALRM")
+
     def _require_no_error(self) -> None:
         found, _ = read_error(self.ask("ERROR"))
+        self.alarm = found
         if found:
             raise FaultError(controller_fault(found, self.ask("ERRORMES", str(found))))
 

@@ -186,8 +186,9 @@ def _wsg(choice: Choice, faults: Faults) -> Emulation:
 
 
 def _melfa(choice: Choice, faults: Faults) -> Emulation:
+    """Serve the stream on the port, commands and STOP above it: 10000 is as on a controller."""
     port = choice.port or 0
-    ports = (port, port + 1, port + 2) if port else (0, 0, 0)
+    ports = (port + 1, port + 2, port) if port else (0, 0, 0)
     settings = HardwareSettings.model_validate({"melfa": {"mxt": {"mxttout": TIMEOUT_CYCLES}}})
     front = MelfaFront(EmulatedMelfa(settings.melfa), choice.host, ports, faults=faults)
     return Emulation((front,), melfa_tables(front))

@@ -54,6 +54,7 @@ class EmulatedWsg:
         self._updates: dict[Command, Update] = {}
         self._acceleration_mm_s2 = self.jaws.profile.acceleration_mm_s2[0]
         self._leaving = False
+        self._lost_mm: float | None = None
         self.barred = 0
         """Motions that were asked of it while a fault was not acknowledged."""
         self._actions: dict[int, Callable[[Request], tuple[Status, tuple[Number, ...]]]] = {
@@ -92,7 +93,11 @@ class EmulatedWsg:
     def _suffer(self, now_s: float) -> list[Reply]:
         """Let the faults that are on have their effect; return the end of a motion they break."""
         if self._faults.active("part_lost", now_s):
+            self._lost_mm = self.jaws.part_mm or self._lost_mm
             self.jaws.part_mm = None
+        elif self._lost_mm is not None and self.jaws.width_mm >= self._lost_mm:
+            # The fault is over: somebody holds the piece between the open jaws again.
+            self.jaws.part_mm, self._lost_mm = self._lost_mm, None
         broken: Motion | None = None
         if self._faults.active("power", now_s) and SystemFlag.POWER_FAULT not in self.jaws.flags:
             broken = self.jaws.halt()

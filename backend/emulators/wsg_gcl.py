@@ -104,6 +104,8 @@ class EmulatedGcl:
                 self._auto[name] = AutoSend(period_ms / 1000, third, now_s)
                 return [Answer("ACK", "AUTOSEND")]
             case Call(name) if name in ORDERS:
+                if name == "BYE":
+                    self._auto.clear()
                 status = self._ask(now_s, ORDERS[name]).status
                 return [self._ended(name, status, "ACK")]
             case Call(name, arguments) if name in MOTIONS:

@@ -6,6 +6,7 @@ import pytest
 
 from backend.emulators.front import TcpFront
 from backend.emulators.wsg import EmulatedWsg
+from backend.emulators.wsg_gcl import EmulatedGcl
 from backend.wire import wsg_binary
 from backend.wire.wsg_binary import Reply, Request, update
 from backend.wire.wsg_words import Command, GraspState, Status, SystemFlag
@@ -67,6 +68,30 @@ def test_a_part_is_held_with_the_force_limit_and_may_be_lost():
     client.gripper.jaws.part_mm = None
     assert client.wait(11.6) == [Reply(Command.GRASP_STATE, 0, (GraspState.PART_LOST,))]
     assert client.read(11.7, Command.FORCE) == 0.0
+
+
+def test_a_lost_part_is_back_after_its_fault_once_the_jaws_are_open():
+    client = Client(part_mm=20.0)
+    faults = client.gripper._faults
+    faults.begin(0.0)
+    client.send(10.0, wsg_binary.grasp(20.5, 46))
+    assert client.wait(11.1) == [Reply(Command.GRASP, Status.SUCCESS)]
+    faults.inject(11.2, "part_lost", 1.0)
+    client.wait(11.3)
+    assert client.read(11.4, Command.GRASP_STATE) == GraspState.PART_LOST
+    client.send(11.5, wsg_binary.release(60, 400))
+    client.wait(12.0)
+    assert client.gripper.jaws.part_mm is None
+    client.wait(12.3)
+    assert client.gripper.jaws.part_mm == 20.0
+
+
+def test_a_text_client_that_left_is_told_nothing_more():
+    mouth = EmulatedGcl(EmulatedWsg())
+    mouth.receive(0.0, b'HOME()\nAUTOSEND("POS",100,false)\n')
+    assert b"POS=" in mouth.due(1.0)
+    assert b"ACK BYE" in mouth.receive(1.05, b"BYE()\n")
+    assert mouth.due(2.0) == b""
 
 
 def test_without_a_part_grasp_fails():

@@ -218,7 +218,6 @@ class MelfaArm:
             self._core.stop(watch.fault)
             self._force.end(watch.fault)
             self._latch(watch.fault)
-            self._console.alarm = watch.error
             watch.fault = None
 
     def _latched(self) -> Fault | None:

@@ -7,6 +7,7 @@ import re
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 
 from backend.config.hardware import MelfaSettings
 from backend.core.faults import FaultError
@@ -37,6 +38,7 @@ ANSWER_S = 1.0
 RUN_S = 5.0
 CLIENT = "TOUCHDOWN"
 """How this program calls itself to the controller."""
+RESETS = "Connecting once more resets this error."
 
 
 class Console:
@@ -53,10 +55,10 @@ class Console:
         cancel: threading.Event,
         alarm: int = 0,
     ) -> None:
-        """``alarm``: the error of the controller that the operator was told, 0 for none."""
+        """``alarm``: the error for which the connection before was refused, 0 for none."""
         self._wires, self._settings = wires, settings
         self.alarm = alarm
-        """The controller's error that was told last: only that one is reset."""
+        """The controller's error for which this connection is refused: the next one resets it."""
         self._stopped, self._cancel = stopped, cancel
         self.unlimited = False
         """Whether the controller would wait for packets for ever, and that was allowed."""
@@ -166,7 +168,7 @@ class Console:
         return Identity("Mitsubishi", opened.robot_type, self._settings.host, opened.version)
 
     def _reset_alarm(self) -> None:
-        """Reset the error of which the operator knows: whoever connects again means that.
+        """Reset the error for which the last connection was refused, as was told then.
 
         The controller refuses while an emergency stop is pressed, and its error is told again.
         """
@@ -180,7 +182,8 @@ class Console:
         found, _ = read_error(self.ask("ERROR"))
         self.alarm = found
         if found:
-            raise FaultError(controller_fault(found, self.ask("ERRORMES", str(found))))
+            fault = controller_fault(found, self.ask("ERRORMES", str(found)))
+            raise FaultError(replace(fault, next_step=f"{fault.next_step} {RESETS}"))
 
     def _require_time_limit(self) -> None:
         try:

@@ -66,11 +66,6 @@ class Watch:
         self._next_s = now_s + (STATE_S if streaming else PLACE_S)
         self._ticket = self._ask(STATE if due else PLACE, TIMEOUT_S)
 
-    @property
-    def error(self) -> int:
-        """Error number that the controller told last, 0 for none."""
-        return 0 if self.state is None else self.state.error
-
     def _read(self, ticket: Ticket, *, streaming: bool) -> None:
         try:
             if ticket.request == PLACE:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, TypeGuard, TypeVar
 
 from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails
 
 from backend.core.faults import InputError
 
@@ -54,13 +53,13 @@ def parse(model: type[Model], content: dict[str, Any], where: str) -> Model:
                 f"Write '{near}', if that is meant." if near else f"Take '{key}' out.",
             ) from error
         raise InputError(
-            f"Bad value for '{key}': {reason(first)}.", where, f"Correct '{key}'."
+            f"Bad value for '{key}': {reason(error)}.", where, f"Correct '{key}'."
         ) from error
 
 
-def reason(error: ErrorDetails) -> str:
-    """Return what a validation says is wrong, in words."""
-    return error["msg"].removeprefix("Value error, ")
+def reason(error: ValidationError) -> str:
+    """Return what is wrong first, in words."""
+    return error.errors()[0]["msg"].removeprefix("Value error, ")
 
 
 def _nearest(model: type[BaseModel], place: tuple[int | str, ...]) -> str:

@@ -78,7 +78,7 @@ class TypedFaults:
             name, _ = AMOUNTS.get(kind, ("hz", ""))
             struck.inject(kind, for_s, **({name: float(much)} if much else {}))
         except ValidationError as error:
-            return f"'{line.strip()}' is no fault: {reason(error.errors()[0])}. {USAGE}"
+            return f"'{line.strip()}' is no fault: {reason(error)}. {USAGE}"
         except ValueError:
             return f"'{line.strip()}' is no fault of {', '.join(named)}. {USAGE}"
         until = "until 'clear'" if for_s is None else f"for {for_s:g} s"

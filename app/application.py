@@ -131,7 +131,6 @@ class TouchdownApp(QObject):
         self.panels.open_connect()
         self._speed.attach(link)
         self._servo = ServoSwitch(link, self.bar, self.cards)
-        self.bar.show_hardware_stop("none" if link.simulated else "unknown")
         link.open()
         # Whoever has gone to another page meanwhile has begun to work.
         fresh = self.tour_due and not self.toured and self.window.front == FIRST

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from app.link import Link
 from backend.devices.degraded import Degraded
-from backend.devices.protocols import Arm, Device, DeviceState, Health
+from backend.devices.protocols import Arm, Device, DeviceState, Health, SafetyMode
 from widgets.device_chip import ChipState, ChipValue
 from widgets.freshness import Age, Freshness
 from widgets.top_bar import CHIPS, TopBar
@@ -50,7 +50,14 @@ class ChipsPresenter:
         if arm is not None:
             status = _arm(arm).status()
             self._bar.show_modes(status.robot_mode.value, status.safety_mode.value)
+            self._bar.show_hardware_stop(self._hardware_stop(status.safety_mode))
         return True
+
+    def _hardware_stop(self, safety: SafetyMode) -> str:
+        """Return what is known of it: that it stopped the arm is told, that it is free is not."""
+        if self._link.simulated:
+            return "none"
+        return "active" if safety is SafetyMode.HW_STOP else "unknown"
 
     def _chip(self, key: str, device: Device, now_s: float, degraded: Degraded | None) -> ChipValue:
         health, fresh = device.health, self._fresh[key]

@@ -165,6 +165,8 @@ class TopBar(QFrame):
 
     def show_hardware_stop(self, text: str) -> None:
         """Show what the controller says of the hardware emergency stop; unknown is unknown."""
+        if text == self._estop.text():
+            return
         self._estop.setText(text)
         self._estop.setAccessibleName(f"Hardware emergency stop: {text}")
         self.fit()

@@ -189,7 +189,7 @@ class CalibratePresenter:
             total=self._progress.total if mine else 1,
             progress=self._progress.text if mine else "",
             values=() if found is None else tuple(
-                (name_words(name), value_words(value, sigma, unit))
+                (name_words(name), value_words(name, value, sigma, unit))
                 for name, value, sigma, unit in zip(
                     found.names, found.values, found.sigmas, found.units, strict=True
                 )

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 
+from backend.calibration.kinds import MIRRORS
+
 NAMES = {
     "mass_kg": "Mass",
     "com_x_mm": "Centre of mass, x",
@@ -27,13 +29,15 @@ NAMES = {
     "face_x_mm": "Face centre, x",
     "face_y_mm": "Face centre, y",
     "exchanged": "Fingers exchanged",
-    "left_mirror": "Left mirror (x 1, y 2)",
-    "right_mirror": "Right mirror (x 1, y 2)",
+    "left_mirror": "Left picture mirrored",
+    "right_mirror": "Right picture mirrored",
     "left_u_mm_px": "Left camera, across",
     "left_v_mm_px": "Left camera, down",
     "right_u_mm_px": "Right camera, across",
     "right_v_mm_px": "Right camera, down",
 }
+_MIRRORED = tuple({"none": "no", "both": "in x and y"}.get(one, f"in {one}") for one in MIRRORS)
+_CODES = {"exchanged": ("no", "yes"), "left_mirror": _MIRRORED, "right_mirror": _MIRRORED}
 _UNITS: dict[str, tuple[str, float]] = {"rad": ("°", math.degrees(1.0))}
 """What people read in place of a unit, and how much of it one is."""
 
@@ -43,10 +47,12 @@ def name_words(name: str) -> str:
     return NAMES.get(name, name)
 
 
-def value_words(value: float, sigma: float, unit: str) -> str:
-    """Write a value with as many digits as its uncertainty leaves, and a true minus."""
+def value_words(name: str, value: float, sigma: float, unit: str) -> str:
+    """Write a value with as many digits as its uncertainty leaves, and a true minus; a code of
+    ``name`` by its word.
+    """
     if not unit:
-        return f"{value:.0f}"
+        return _CODES[name][round(value)] if name in _CODES else f"{value:.0f}"
     shown_unit, each = _UNITS.get(unit, (f" {unit}", 1.0))
     value, sigma = each * value, each * sigma
     digits = 4 if sigma < 0.01 else 3 if sigma < 0.1 else 2

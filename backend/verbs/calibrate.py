@@ -181,7 +181,7 @@ def _table(found: CalibrationMeasured) -> Table:
     table.add_column("value", justify="right")
     rows = zip(found.names, found.values, found.sigmas, found.units, strict=True)
     for name, value, sigma, unit in rows:
-        table.add_row(name_words(name), value_words(value, sigma, unit))
+        table.add_row(name_words(name), value_words(name, value, sigma, unit))
     table.add_row("Residual", residual_words(found.residual, found.limit, found.unit))
     return table
 

@@ -1,6 +1,10 @@
 """A chip per device: what one of them suffers is said on its own chip alone."""
 
-from backend.devices.protocols import Health
+from dataclasses import replace
+
+import pytest
+
+from backend.devices.protocols import Health, SafetyMode
 from tests.app.conftest import settle
 
 
@@ -42,3 +46,23 @@ def test_a_device_without_a_sample_has_no_age_yet(live, bench, monkeypatch):
     live._chips._drawn_s = float("-inf")
     settle(live)
     assert "no data yet" in live.bar.chips["arm"].value.detail
+
+
+@pytest.mark.parametrize(
+    ("simulated", "safety", "told"),
+    [
+        (True, SafetyMode.NORMAL, "none"),
+        (False, SafetyMode.NORMAL, "unknown"),
+        (False, SafetyMode.HW_STOP, "active"),
+    ],
+)
+def test_a_hardware_emergency_stop_is_told_as_far_as_it_is_known(
+    live, bench, monkeypatch, simulated, safety, told
+):
+    arm = bench.devices["arm"]
+    status = replace(arm.status(), safety_mode=safety)
+    monkeypatch.setattr(type(arm), "status", lambda _: status)
+    monkeypatch.setattr(bench, "simulated", simulated)
+    live._chips._drawn_s = float("-inf")
+    settle(live)
+    assert live.bar._estop.text() == told

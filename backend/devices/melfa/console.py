@@ -38,7 +38,10 @@ ANSWER_S = 1.0
 RUN_S = 5.0
 CLIENT = "TOUCHDOWN"
 """How this program calls itself to the controller."""
-RESETS = "Connecting once more resets this error."
+RESETS = (
+    "Connecting once more in the same window resets this error; from elsewhere reset it at the "
+    "controller."
+)
 
 
 class Console:

@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TypeAlias
 
+import numpy as np
+
 from backend.config.hardware import GelsightSettings
 from backend.core.faults import Fault, FaultError
 from backend.core.flow import Finger, ImageArray, TactileFrame
@@ -27,7 +29,7 @@ JOIN_S = 1.0
 STALE_S = 0.12
 RATE_WINDOW_S = 1.0
 GONE_S = 0.045
-"""So long without a valid picture, a camera whose device has left the system was unplugged."""
+"""So long without a new valid picture, a camera whose device has left the system was unplugged."""
 RETRY_S = (0.5, 1.0, 1.5)
 Captured: TypeAlias = tuple[float, int, bytes | ImageArray]
 
@@ -190,8 +192,9 @@ class TactileCamera:
 
         Numbers go on over a replug.
         """
-        begun_s = heard_s = self._now_s()
+        begun_s = heard_s = new_s = self._now_s()
         damaged = self._damaged
+        before: bytes | ImageArray | None = None
         while not stop.is_set():
             content = source.read(READ_S)
             now_s, self._damaged = self._now_s(), damaged + source.lost
@@ -199,10 +202,13 @@ class TactileCamera:
                 heard_s = now_s
                 self._newest.put((now_s, self._sequence, content))
                 self._sequence += 1
+                new_s = now_s if before is None or not np.array_equal(content, before) else new_s
+                before = content
             elif now_s - heard_s > self._settings.silence_s:
                 raise OSError(f"no picture for {now_s - heard_s:.1f} s")
-            # What is read of a camera that is gone may be called a picture.
+            # What is read of a camera that is gone may be called a picture, or be the last one.
             shown_s = max(begun_s, self._arrivals[-1] if self._arrivals else begun_s)
+            shown_s = min(shown_s, new_s)
             if self._given is None and now_s - shown_s > GONE_S and not node.exists():
                 raise OSError("it was unplugged")
 

@@ -94,9 +94,11 @@ class FaultCard(QFrame):
 
     def again(self, text: CardText) -> None:
         """Count a repetition and show the newest wording."""
-        self.text = text
+        before, self.text = self.text, text
         self.count += 1
-        self._details.setPlainText(text.details or self._plain())
+        if (text.details or text) != (before.details or before):
+            # Laid out anew each time, which takes its time where it comes in every frame.
+            self._details.setPlainText(text.details or self._plain())
         self._show_count()
 
     def _show_count(self) -> None:

@@ -24,17 +24,19 @@ ROOM_BYTES = 65_536
 """What a training may still take once its limit is set: less than a batch needs."""
 
 
-def _out_of_memory(number: int) -> None:
+def out_of_memory(number: int) -> None:
+    """Let the process ``number`` take next to nothing more."""
     taken = psutil.Process(number).memory_info().vms
     resource.prlimit(number, resource.RLIMIT_AS, (taken // 2, taken // 2))
     resource.prlimit(number, resource.RLIMIT_DATA, (ROOM_BYTES, ROOM_BYTES))
 
 
-def _killed(number: int) -> None:
+def killed(number: int) -> None:
+    """Kill the process ``number``, as a system without memory does."""
     os.kill(number, signal.SIGKILL)
 
 
-WAYS: dict[str, Callable[[int], None]] = {"no memory left": _out_of_memory, "killed": _killed}
+WAYS: dict[str, Callable[[int], None]] = {"no memory left": out_of_memory, "killed": killed}
 
 
 @figure("faults")

@@ -114,7 +114,11 @@ class Watched:
 
     def training(self) -> int:
         """Begin it; return the number of its process once it is at work."""
-        presenter = self.train().presenter
+        return self.begin(self.train())
+
+    def begin(self, train: TrainWorkspace) -> int:
+        """Begin the training that is ready; return its process' number once it is at work."""
+        presenter = train.presenter
         assert presenter is not None
         presenter.start()
         self.pump(lambda: len(presenter._epochs_s) >= 1)

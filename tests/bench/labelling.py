@@ -27,11 +27,11 @@ def label_page() -> list[Figure]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         with mock.patch.dict(os.environ, {"TOUCHDOWN_DATA": str(folder)}):
-            _fill(folder / "dataset", EPISODES, FILMED)
+            fill(folder / "dataset", EPISODES, FILMED)
             return _walk(folder)
 
 
-def _fill(folder: Path, episodes: int, filmed: int) -> None:
+def fill(folder: Path, episodes: int, filmed: int) -> None:
     """Make the dataset; nothing has to survive a crash here, so nothing is synced."""
     from backend.catalogue.dataset import Dataset
     from backend.catalogue.values import EpisodeContext, Label

@@ -59,6 +59,9 @@ MODULES: tuple[str, ...] = (
     "tests.bench.fault_raising",
     "tests.bench.fault_lease",
     "tests.bench.fault_blocked_camera",
+    "tests.bench.fault_flood",
+    "tests.bench.fault_starved",
+    "tests.bench.fault_locked_label",
     "tests.bench.wired_parts",
 )
 """Modules that register figures, in the order of the table."""

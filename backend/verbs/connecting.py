@@ -57,8 +57,10 @@ def name_scene(args: argparse.Namespace, bottom: str) -> None:
     """
     at_lab = args.bench is not None and is_lab_file(Path(args.bench))
     lab = load_lab(Path(args.bench)).settings if at_lab else None
-    args.piece = args.piece or (PIECE if lab is None else lab.piece)
-    args.bottom = args.bottom or (bottom if lab is None else lab.bottom)
+    if args.piece is None:
+        args.piece = PIECE if lab is None else lab.piece
+    if args.bottom is None:
+        args.bottom = bottom if lab is None else lab.bottom
 
 
 def refuse_lab_arguments(args: argparse.Namespace) -> None:

@@ -87,7 +87,7 @@ class UrArm(LevelHand):
         self._robot: Interfaces | None = None
         self._rotation = np.zeros(3)
         self._lock = threading.Lock()
-        self._stop_asked, self._ends = threading.Event(), threading.Event()
+        self._stop_asked, self._ends, self._stops = threading.Event(), threading.Event(), 0
         self._retreat_asked = threading.Event()
         self._thread: threading.Thread | None = None
         self._lane: StopLane | None = None
@@ -372,6 +372,7 @@ class UrArm(LevelHand):
 
     def stop(self) -> None:
         """Stop on a connection of its own; in every state, from any thread, waiting for nothing."""
+        self._stops += 1
         self._stop_asked.set()
         if (lane := self._lane) is not None:
             lane.press()
@@ -384,12 +385,14 @@ class UrArm(LevelHand):
         return self._robot
 
     def _require_ready(self) -> Interfaces:
-        robot = self._require_link()
+        stops, robot = self._stops, self._require_link()
         if robot.receive.getRobotMode() != RUNNING:
             raise FaultError(servo_off_fault(ARM))
         if self._lane is not None and not self._lane.settle(SETTLE_S):
             raise FaultError(link_fault("The robot does not answer to STOP."))
         with self._lock:
+            if self._stops != stops:  # it came after the order: it is not to be forgotten
+                raise FaultError(STOPPED)
             if self._stop_asked.is_set():
                 self._take_stop(robot)
             if self._script_ended:

@@ -84,6 +84,24 @@ def test_the_controller_is_told_its_tool_and_keeps_hearing(bench, wires):
     assert wires.robot.commands == []
 
 
+def test_stop_that_comes_while_a_move_is_being_ordered_is_not_forgotten(bench, monkeypatch):
+    bench.connect()
+    here, settle = bench.arm.pose(1.0), stop_lane.StopLane.settle
+
+    def stopped_meanwhile(lane, limit_s):
+        settled = settle(lane, limit_s)
+        bench.arm.stop()
+        return settled
+
+    monkeypatch.setattr(stop_lane.StopLane, "settle", stopped_meanwhile)
+    with pytest.raises(FaultError, match="STOPPED"):
+        bench.arm.move_to(Pose(here.x_mm + 20.0, here.y_mm, here.z_mm), 50.0)
+    monkeypatch.undo()
+    bench.rest(0.5)
+    assert bench.arm.pose(1.0).x_mm == pytest.approx(here.x_mm, abs=0.05)
+    bench.finish(bench.arm.move_to(Pose(here.x_mm + 5.0, here.y_mm, here.z_mm), 50.0))
+
+
 def test_stop_goes_out_beside_everything_else_and_the_next_motion_sends_the_script_again(
     bench, wires
 ):

@@ -28,7 +28,7 @@ from backend.catalogue.values import EpisodeContext, Label, Looked
 from backend.core.flow import Outcome, PlaceAction
 from backend.objects.catalogue import load_catalogue
 from backend.runs.requests import RunState
-from tests import screen_panels, screen_states
+from tests import screen_faults, screen_panels, screen_states
 from tests.app.label.conftest import make_episode
 from tests.app.stand_in import StandInBench
 from tests.picture_files import PictureFiles, told
@@ -175,6 +175,7 @@ class Stage:
         yield from screen_states.of_a_run(self)
         yield from screen_panels.attended(self)
         yield from self._faults()
+        yield from screen_faults.of_faults(self)
         yield from screen_panels.pauses(self)
         yield from self._dialogs()
         yield from screen_panels.sheets(self, self.folder)

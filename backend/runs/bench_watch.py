@@ -41,16 +41,17 @@ class BenchWatch:
         if steps != self._seen or said is not None:
             self._seen, self._rest.rested_s, self._stepless_s = steps, 0.0, 0.0
             if said is not None and now_s > said.until_s:
-                self._tell(_fault(f"It {said.what}, and that comes to no end"))
+                self._tell(bench_fault(f"It {said.what}, and that comes to no end"))
             return
         self._stepless_s += self._rest.passed_s
         if rested_s >= self._still_s:
-            self._tell(_fault("It waits for what does not come"))
+            self._tell(bench_fault("It waits for what does not come"))
         elif self._stepless_s >= WORKS_S:
-            self._tell(_fault("It works without an end"))
+            self._tell(bench_fault("It works without an end"))
 
 
-def _fault(why: str) -> Fault:
+def bench_fault(why: str) -> Fault:
+    """Return the fault of a thread that stands still; ``why`` is a sentence without its end."""
     return Fault(
         "BENCH-STILL",
         f"The thread of the bench stands still. {why}.",

@@ -86,14 +86,8 @@ class GelCheck:
             what = f"The gel moves by {seen.motion_px:.2f} px: it cannot be told which one it is."
             raise _fault("GEL-MOVES", name, what, "Let go of the gel and connect again.")
         owner, mirror = whose(seen.position_px, known, name, limit_px)
-        far = f"{away_px:.1f} px" if away_px < float("inf") else "too few dots seen"
-        what = (
-            f"The {finger} finger has another gel than when the cameras were calibrated: its dots "
-            f"rest {far} from where they did (rms, limit {limit_px:g})."
-        )
         again = "" if self._store is None else self._store.command("camera")
-        on_purpose = f"If it was changed on purpose, run '{again}'."
-        raise _fault("GEL-OTHER", name, what, f"{_next_step(name, owner, mirror)} {on_purpose}")
+        raise other_gel(finger, (away_px, limit_px), _next_step(name, owner, mirror), again)
 
     def _known(self) -> dict[str, FloatArray]:
         """Return the fingerprints of the raw pictures, by camera; none where they are of others."""
@@ -114,6 +108,21 @@ class GelCheck:
         if gripper is None or gripper.state is not DeviceState.READY:
             return False
         return not cast("Gripper", gripper).status().holding
+
+
+def other_gel(finger: Finger, px: tuple[float, float], next_step: str, again: str) -> FaultError:
+    """Return the fault of a gel whose dots rest ``px[0]`` (limit ``px[1]``) from where they did.
+
+    ``again``: the command that calibrates the cameras anew.
+    """
+    away_px, limit_px = px
+    far = f"{away_px:.1f} px" if away_px < float("inf") else "too few dots seen"
+    what = (
+        f"The {finger} finger has another gel than when the cameras were calibrated: its dots "
+        f"rest {far} from where they did (rms, limit {limit_px:g} px)."
+    )
+    on_purpose = f"If it was changed on purpose, run '{again}'."
+    return _fault("GEL-OTHER", f"tactile_{finger}", what, f"{next_step} {on_purpose}")
 
 
 def _next_step(name: str, owner: str, mirror: str) -> str:

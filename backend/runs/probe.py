@@ -129,15 +129,20 @@ def _refuse_turned(bench: Bench, turning: TorsionSlip) -> None:
     """Latch and raise the fault of a piece that turned in the grasp, if it did."""
     if not turning.seen():
         return
-    fault = Fault(
+    fault = turned_fault(turning.turned_rad)
+    bench.interlock.raise_fault(fault)
+    raise FaultError(fault)
+
+
+def turned_fault(turned_rad: float) -> Fault:
+    """Return the fault of a piece that turned by ``turned_rad``, as the markers tell."""
+    return Fault(
         "PIECE-TURNED",
-        f"The piece turned in the grasp: the markers by {math.degrees(turning.turned_rad):.1f}°.",
+        f"The piece turned in the grasp: the markers by {math.degrees(turned_rad):.1f}°.",
         "Motion stopped; the probe in progress is void and nothing was let go.",
         "Take the piece out or grip it again by hand, then press Reset.",
         "gripper",
     )
-    bench.interlock.raise_fault(fault)
-    raise FaultError(fault)
 
 
 def scene_pictures(bench: Bench) -> tuple[ScenePicture, ...]:

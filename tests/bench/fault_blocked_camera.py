@@ -22,6 +22,7 @@ from app.start import SWITCH_S
 from backend.core.flow import ImageArray
 from backend.devices.cameras.driver import TactileCamera
 from backend.devices.cameras.sources import Source
+from tests.bench.fault_window import print_found
 from tests.bench.fault_workers import GONE_S, hooked
 from tests.bench.lab_window import LabWindow
 from tests.bench.registry import Figure, figure
@@ -128,8 +129,7 @@ def main(lab: Path) -> int:
         block.set()
         window.linger(1.0)
         assert not block.is_set(), "no read is blocked"
-        sys.stdout.write(json.dumps(found | {"asked_s": time.monotonic()}) + "\n")
-        sys.stdout.flush()
+        print_found(found | {"asked_s": time.monotonic()})
         window.close()
     end_for_sure()
     return 0

@@ -6,7 +6,6 @@ what it measured as JSON. Slices with and without the error take turns.
 
 from __future__ import annotations
 
-import json
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
@@ -18,6 +17,7 @@ from backend.core.facts import FaultRaised
 from backend.core.faults import Fault
 from tests.bench.fault_raising import Canvas
 from tests.bench.fault_slices import RATES, SWITCH_S, Slice, Sliced, together
+from tests.bench.fault_window import print_found
 from tests.bench.fault_workers import hooked, window
 from tests.bench.registry import Figure, figure
 
@@ -126,8 +126,7 @@ def main() -> int:
         log_bytes = sum(path.stat().st_size for path in folder.iterdir())
         window.close()
         found = {"kinds": kinds, "raised": flood.raised, "log_bytes": log_bytes}
-        sys.stdout.write(json.dumps(found) + "\n")
-        sys.stdout.flush()
+        print_found(found)
     end_for_sure()
     return 0
 

@@ -6,7 +6,6 @@ measured as JSON. Labels are nudged and accepted by keys, and read again from th
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 import tempfile
@@ -22,6 +21,7 @@ from app.closing import end_for_sure
 from backend.catalogue.dataset import Dataset
 from tests.bench.fault_disk import HELD_S, HOLD
 from tests.bench.fault_slices import SWITCH_S, Sliced
+from tests.bench.fault_window import print_found
 from tests.bench.fault_workers import hooked, window
 from tests.bench.labelling import fill
 from tests.bench.registry import Figure, figure
@@ -144,8 +144,7 @@ def main() -> int:
         window = Sliced(Path(name))
         found = measured(window)
         window.close()
-        sys.stdout.write(json.dumps(found) + "\n")
-        sys.stdout.flush()
+        print_found(found)
     end_for_sure()
     return 0
 

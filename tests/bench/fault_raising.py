@@ -5,7 +5,6 @@ As a program it is that window, with a live simulated bench, and prints what it 
 
 from __future__ import annotations
 
-import json
 import sys
 import tempfile
 import threading
@@ -19,7 +18,7 @@ from PySide6.QtWidgets import QPushButton, QWidget
 
 from app.closing import end_for_sure
 from app.error_hooks import log_to
-from tests.bench.fault_window import Watched
+from tests.bench.fault_window import Watched, print_found
 from tests.bench.fault_workers import hooked, window
 from tests.bench.registry import Figure, figure
 
@@ -153,8 +152,7 @@ def main() -> int:
         window.bench()
         found = measured(window, log)
         window.close()
-        sys.stdout.write(json.dumps(found) + "\n")
-        sys.stdout.flush()
+        print_found(found)
     end_for_sure()
     return 0
 

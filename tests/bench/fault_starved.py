@@ -6,7 +6,6 @@ JSON: slices before any training, beside one, while it dies, and after it.
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import tempfile
@@ -16,6 +15,7 @@ from pathlib import Path
 from app.closing import end_for_sure
 from tests.bench.fault_memory import WAYS
 from tests.bench.fault_slices import RATES, SWITCH_S, Sliced, together
+from tests.bench.fault_window import print_found
 from tests.bench.fault_workers import hooked, window
 from tests.bench.registry import Figure, figure
 
@@ -87,8 +87,7 @@ def main() -> int:
         window = Sliced(Path(name))
         found = measured(window)
         window.close()
-        sys.stdout.write(json.dumps({"ways": found}) + "\n")
-        sys.stdout.flush()
+        print_found({"ways": found})
     end_for_sure()
     return 0
 

@@ -14,7 +14,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import psutil
@@ -233,13 +233,18 @@ def _nothing(*_: object) -> None:
     """Nobody waits."""
 
 
+def print_found(found: Mapping[str, object]) -> None:
+    """Print what a window of its own process measured, for who began that process."""
+    sys.stdout.write(json.dumps(found) + "\n")
+    sys.stdout.flush()
+
+
 def main(words: list[str]) -> int:
     """Do what the first word says."""
     with tempfile.TemporaryDirectory() as name:
         window = Watched(Path(name))
         if words[0] == "worker":
-            sys.stdout.write(json.dumps(fail(window, *words[1:])) + "\n")
-            sys.stdout.flush()
+            print_found(fail(window, *words[1:]))
         else:
             ask(window, words[1])
             window.close()

@@ -1,0 +1,66 @@
+"""Cards of faults in the words of what raises them, and a hardware stop, for ``make screens``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from backend.core.facts import FaultRaised
+from backend.core.faults import Fault
+from backend.devices.force_torque.faults import driver_fault
+from backend.devices.melfa.console import RESETS
+from backend.devices.melfa.link_faults import controller_fault, oversize_fault
+from backend.devices.protocols import ArmStatus, SafetyMode
+from backend.emulated_child import NOT_SET, STILL
+from backend.runs.bench_watch import bench_fault
+from backend.runs.gel_check import other_gel
+from backend.runs.probe import turned_fault
+
+if TYPE_CHECKING:
+    from tests.screens import Stage
+
+EMERGENCY = 61
+
+
+def _alarm() -> Fault:
+    told = controller_fault(EMERGENCY, "Emergency stop (external)")
+    return replace(told, next_step=f"{told.next_step} {RESETS}")
+
+
+def _cards() -> Mapping[str, Sequence[Fault]]:
+    swapped = "It is the gel of the right finger: put the two back."
+    gel = other_gel("left", (8.2, 3.0), swapped, "touchdown calibrate camera --bench lab.toml")
+    return {
+        "faults-of-the-grasp": (turned_fault(0.074), gel.fault),
+        "faults-of-drivers": (driver_fault(KeyError("payload")), oversize_fault(11)),
+        "faults-of-the-bench": (bench_fault("It waits for what does not come"), NOT_SET),
+        "faults-of-a-process": (STILL,),
+    }
+
+
+def of_faults(stage: Stage) -> Iterator[str]:
+    """Cards that come by two, and a stop by the controller's emergency stop."""
+    for name, faults in _cards().items():
+        for fault in faults:
+            _raise(stage, fault)
+        yield name
+        stage.main.reset()
+    bench = stage.bench
+    arm = bench.devices["arm"]
+    status, simulated = arm.status, bench.simulated
+    told: ArmStatus = replace(arm.status(), safety_mode=SafetyMode.HW_STOP)
+    arm.status, bench.simulated = lambda: told, False
+    _raise(stage, _alarm())
+    stage.main._chips._drawn_s = float("-inf")
+    stage.live(0.0)
+    yield "fault-hardware-stop"
+    arm.status, bench.simulated = status, simulated
+    stage.main.reset()
+    stage.main._chips._drawn_s = float("-inf")
+    stage.live(0.0)
+
+
+def _raise(stage: Stage, fault: Fault) -> None:
+    stage.bench.interlock.raise_fault(fault)
+    stage.bench.hub.publish(FaultRaised(stage.bench.clock_s(), fault))

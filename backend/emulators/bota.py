@@ -32,16 +32,13 @@ class EmulatedBota:
         self._booted = self._configuring = False
 
     def receive(self, now_s: float, data: bytes) -> bytes:
-        """Take text commands; return the answers."""
-        return b"".join(self._answer(now_s, request) for request in self._requests.feed(data))
+        """Take text commands; return the answers, behind the boot text of a new client."""
+        answers = (self._answer(now_s, request) for request in self._requests.feed(data))
+        return self._boot(now_s) + b"".join(answers)
 
     def due(self, now_s: float) -> bytes:
         """Return the boot text once, then the frames up to now."""
-        boot = b""
-        if not self._booted:
-            self._booted = True
-            boot = bota.encode(Boot())
-            self.pace.begin(now_s, self._period_s)
+        boot = self._boot(now_s)
         _, times = self.pace.due(now_s)
         return boot + b"".join(map(self._frame, times))
 
@@ -51,6 +48,13 @@ class EmulatedBota:
         self._sinc = DEFAULT_SINC
         self.pace.end()
         self._requests.reset()
+
+    def _boot(self, now_s: float) -> bytes:
+        if self._booted:
+            return b""
+        self._booted = True
+        self.pace.begin(now_s, self._period_s)
+        return bota.encode(Boot())
 
     @property
     def _period_s(self) -> float:

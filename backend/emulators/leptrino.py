@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 
 from backend.emulators.pace import Pace
 from backend.wire import leptrino
+from backend.wire.checksums import xor8
 from backend.wire.leptrino import (
     CLIP,
+    ETX,
     FULL_SCALE,
     Command,
     Filter,
@@ -23,7 +26,10 @@ from backend.wire.leptrino import (
 RATED = (250.0, 250.0, 250.0, 6.0, 6.0, 6.0)
 INFO = Info("PFS080YA501A6", "00012345", "1.13")
 PERIOD_S = 0.001
-UNDEFINED = 2
+LENGTH, UNDEFINED, VALUE = 1, 2, 3
+"""Results of a command that is refused."""
+FILTERS = 4
+_FRAME = re.compile(rb"\x10\x02((?:[^\x10]|\x10\x10)*)\x10\x03(.)", re.DOTALL)
 
 
 class EmulatedLeptrino:
@@ -38,13 +44,13 @@ class EmulatedLeptrino:
         self.pace = Pace()
 
     def receive(self, now_s: float, data: bytes) -> bytes:
-        """Take commands; a frame with a wrong check is answered with NAK."""
+        """Take commands; a frame with a wrong check is answered with NAK, a length by its code."""
         out = b"".join(
             leptrino.encode(self._answer(now_s, packet)) for packet in self._commands.feed(data)
         )
         if self._commands.bad_frames > self._bad:
             self._bad = self._commands.bad_frames
-            out = leptrino.encode(Nak()) + out
+            out = leptrino.encode(_refusal(data)) + out
         return out
 
     def due(self, now_s: float) -> bytes:
@@ -71,6 +77,10 @@ class EmulatedLeptrino:
             self.pace.end()
         elif command != Command.SET_FILTER:
             return Plain(command or 0, UNDEFINED)
+        elif not isinstance(packet, Filter):
+            return Plain(command, LENGTH)
+        elif packet.index >= FILTERS:
+            return Plain(command, VALUE)
         return Plain(command)
 
     def _sample(self, now_s: float, command: Command) -> Sample:
@@ -78,3 +88,11 @@ class EmulatedLeptrino:
         raw = [round(value / load * FULL_SCALE) for value, load in pairs]
         over = Status.OVER_RATING if max(map(abs, raw)) > FULL_SCALE else 0
         return Sample(command, tuple(min(max(c, -CLIP), CLIP) for c in raw), int(over))
+
+
+def _refusal(data: bytes) -> Packet:
+    """Return the answer to a frame that is none: its length, or its check, is wrong."""
+    found = _FRAME.search(data)
+    content = b"" if found is None else found[1].replace(b"\x10\x10", b"\x10")
+    whole = found is not None and len(content) >= 3 and xor8(content) ^ ETX == found[2][0]
+    return Plain(content[2], LENGTH) if whole else Nak()

@@ -39,6 +39,10 @@ OPENED = (
     "3F;3F;7,0;3,5,A,1E,32,46,64;MB6;PRM;{robot};CR800-D;MELFA;20-11-19;Ver.C1;ENG;"
     "EMULATED BY TOUCHDOWN;1;1;8;"
 )
+NETPORTS = tuple(range(10000, 10010))
+"""Ports of a controller as it is delivered: the stream, then nine for commands."""
+FORCE = "P_FsCurD"
+"""What the controller's own force sensor measures; here without moments."""
 _ENDS = {"none": b"", "cr": b"\r", "crlf": b"\r\n"}
 _PLACE = re.compile(r"(?i)(MOV|MVS) \(([^()]*)\)\([0-9]+,[0-9]+\)")
 _SPEED = re.compile(r"(?i)(SPD|JOVRD|OVRD) ([0-9.]+)")
@@ -216,6 +220,8 @@ class EmulatedCommands:
         return f"{error};{1 if error < 1000 else 2}" if error else ""
 
     def _parameter(self, request: Request) -> str:
+        if request.argument == "NETPORT":
+            return f"NETPORT;{','.join(map(str, NETPORTS))};{len(NETPORTS)}"
         if request.argument != "MXTTOUT":
             raise RefusedCommandError(self._controller.settings.r3.error_unknown)
         return f"MXTTOUT;{self._controller.settings.mxt.mxttout};1"
@@ -231,6 +237,11 @@ class EmulatedCommands:
         return ""
 
     def _value(self, request: Request) -> str:
+        if request.argument == FORCE:
+            numbers = ",".join(
+                f"{number:+.2f}" for number in (*self._controller.force_n(), 0, 0, 0)
+            )
+            return f"{FORCE}=({numbers})(0,0)"
         value = self._controller.variables.get(request.argument)
         if value is None:
             raise RefusedCommandError(4340)

@@ -38,10 +38,13 @@ class Witnessed:
     force_n: float
 
     def __str__(self) -> str:
+        late = "no command after an error"
+        if self.late_command_s > 0.0:
+            late = f"last command {1e3 * self.late_command_s:.0f} ms after an error"
         return (
-            f"largest step {100 * self.step_share:.1f} % of a joint's top speed; last command "
-            f"{1e3 * self.late_command_s:.0f} ms after an error; jaws opened on a piece "
-            f"{self.openings} times, {self.barred} motions asked of a gripper in a fault; "
+            f"largest step {100 * self.step_share:.1f} % of a joint's top speed; {late}; "
+            f"jaws opened on a piece {self.openings} times, "
+            f"{self.barred} motions asked of a gripper in a fault; "
             f"strongest force {self.force_n:.1f} N"
         )
 

@@ -62,6 +62,7 @@ class EmulatedWsg:
             Command.ACKNOWLEDGE: self._acknowledge,
             Command.SET_ACCELERATION: self._set_acceleration,
             Command.SET_FORCE_LIMIT: self._set_force_limit,
+            Command.STATISTICS: self._statistics,
         }
 
     def receive(self, now_s: float, data: bytes) -> bytes:
@@ -175,6 +176,12 @@ class EmulatedWsg:
         low, high = self.jaws.profile.force_sum_n
         self.jaws.force_limit_n = min(max(float(request.values[0]), low), high)
         return Status.SUCCESS, ()
+
+    def _statistics(self, request: Request) -> tuple[Status, tuple[Number, ...]]:
+        told = self.jaws.statistics
+        if int(request.values[0]) & 1:
+            self.jaws.statistics = (0, 0, 0)
+        return Status.SUCCESS, told
 
     def _subscribe(self, now_s: float, request: Request) -> None:
         if len(request.values) != 2:

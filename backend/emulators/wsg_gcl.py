@@ -33,6 +33,8 @@ ORDERS = {
     "BYE": Request(Command.DISCONNECT),
 }
 MOTIONS = ("HOME", "MOVE", "GRIP", "RELEASE")
+FLAGS = 32
+STATISTICS = Request(Command.STATISTICS, (0,))
 _SPEED_MM_S = 50.0
 _RELEASE_MM = 10.0
 
@@ -57,7 +59,7 @@ class EmulatedGcl:
         self._acknowledged_s = -APART_S
         self._waiting: list[tuple[float, Line]] = []
         self._auto: dict[str, AutoSend] = {}
-        self._verbose = False
+        self._verbose, self._kept = False, dict[str, Line]()
 
     def receive(self, now_s: float, data: bytes) -> bytes:
         """Take lines; return what is answered at once."""
@@ -99,6 +101,7 @@ class EmulatedGcl:
                 return self._query(now_s, name)
             case Assignment(name, value) if name in KEPT:
                 self._verbose = bool(value) if name == "VERBOSE" else self._verbose
+                self._kept[name] = asked
                 return [asked]
             case Call("AUTOSEND", (str(name), int(period_ms), bool(third))) if name in READINGS:
                 self._auto[name] = AutoSend(period_ms / 1000, third, now_s)
@@ -117,13 +120,28 @@ class EmulatedGcl:
     def _query(self, now_s: float, name: str) -> list[Line]:
         if name in SELVES:
             return [Assignment(name, SELVES[name])]
-        if name.startswith("SYSFLAGS["):
-            told = self._ask(now_s, Request(Command.SYSTEM_STATE, (0, 0)))
-            bit = int(name[9:-1])
-            return [self._value(name, told, lambda value: int(value) >> bit & 1)]
+        if name in KEPT:
+            return [self._kept.get(name, Assignment(name, '""' if name == "TAG" else 0))]
+        if name == "GRIPSTATS":
+            counts = self._ask(now_s, STATISTICS).values
+            return [Assignment(name, tuple(map(int, counts)))]
+        if name.startswith("SYSFLAGS"):
+            return [self._flags(name, self._ask(now_s, Request(Command.SYSTEM_STATE, (0, 0))))]
         if name in READINGS:
             return [self._reading(now_s, name)]
+        if name == "FDATA[0]":
+            told = self._ask(now_s, Request(Command.FORCE, (0, 0)))
+            return [self._value(name, told, float)]
         return [self._ended(name.partition("[")[0], Status.CMD_UNKNOWN, "ACK")]
+
+    def _flags(self, name: str, told: Reply) -> Line:
+        """Return one flag by its number, or all of them as a list."""
+        if not told.values or name not in {"SYSFLAGS", *(f"SYSFLAGS[{k}]" for k in range(FLAGS))}:
+            return self._ended("SYSFLAGS", told.status or Status.CMD_FORMAT_ERROR, "ACK")
+        word = int(told.values[0])
+        if name == "SYSFLAGS":
+            return Assignment(name, tuple(word >> bit & 1 for bit in range(FLAGS)))
+        return Assignment(name, word >> int(name[9:-1]) & 1)
 
     def _reading(self, now_s: float, name: str) -> Line:
         command = READINGS[name]
@@ -142,9 +160,10 @@ class EmulatedGcl:
             return [self._ended(name, Status.CMD_FORMAT_ERROR, "ACK")]
         request = self._request(now_s, name, numbers)
         self._called[request.command] = name
+        # Before it is asked: the end of a motion may come with the answer.
+        self._acknowledged_s = now_s
         status = self._ask(now_s, request).status
         if status == Status.CMD_PENDING:
-            self._acknowledged_s = now_s
             return [Answer("ACK", name)]
         return [self._ended(name, status, "ACK")]
 

@@ -47,6 +47,13 @@ class Jaws:
         self.state = GraspState.IDLE
         self.flags = SystemFlag(0)
         self.motion: Motion | None = None
+        self.statistics = (0, 0, 0)
+        """Grasps in all, without a part, with a part that was lost."""
+
+    def count(self, *, missed: int = 0, lost: int = 0) -> None:
+        """Count a grasp that ended (``missed``: without a part), or a part that was ``lost``."""
+        total, no_part, lost_parts = self.statistics
+        self.statistics = (total + 1 - lost, no_part + missed, lost_parts + lost)
 
     @property
     def force_n(self) -> float:
@@ -84,6 +91,7 @@ class Jaws:
         """Move on to ``now_s``; return command and result of a motion that ended."""
         if self.state is GraspState.HOLDING and self.part_mm is None:
             self.state = GraspState.PART_LOST
+            self.count(lost=1)
         motion = self.motion
         if motion is None:
             return None
@@ -99,6 +107,7 @@ class Jaws:
         self.flags &= ~SystemFlag.MOVING
         if motion.command is Command.GRASP:
             self.state = GraspState.HOLDING if blocked else GraspState.NO_PART_FOUND
+            self.count(missed=not blocked)
             return motion.command, Status.SUCCESS if blocked else Status.CMD_FAILED
         self.state = GraspState.IDLE
         if blocked:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -162,6 +163,10 @@ def test_what_cannot_be_applied_is_damaged_though_its_hash_fits(
         lambda c: c.update(about="a on b on c"),
         lambda c: c.update(gels={next(iter(c["devices"]), "arm"): [1.0] * 125}),
         lambda c: c.update(gels={"nobody": [1.0] * 126}),
+        *(
+            lambda c, x=x: c.update(gels={next(iter(c["devices"]), "arm"): [x] + [1.0] * 125})
+            for x in (float("nan"), float("inf"))
+        ),
         lambda c: c["values"].update(left_mirror={"value": 4.0, "sigma": 0.0, "unit": ""}),
         lambda c: c["values"].update(left_mirror={"value": 0.5, "sigma": 0.0, "unit": ""}),
     ]
@@ -181,6 +186,24 @@ def test_what_cannot_be_applied_is_damaged_though_its_hash_fits(
     assert payload_of(store, {}) is None
     with pytest.raises(RefusedError, match=r"CALIBRATION-(DAMAGED|MISSING)"):
         store.in_use(DEVICES, required=True, now=NOW)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs limits of the size of files")
+def test_a_disk_that_takes_no_more_keeps_the_calibration_before(store: CalibrationStore) -> None:
+    import resource
+
+    before = store.accept(of_kind("camera"), DEVICES, now=NOW).read_bytes()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
+    try:
+        with pytest.raises(InputError):
+            store.accept(of_kind("camera"), DEVICES, now=NOW + timedelta(hours=1))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    standing = store.standing("camera", DEVICES, NOW)
+    assert standing.condition == "valid"
+    kept = [path for path in store.folder.rglob("*") if path.is_file()]
+    assert [path.read_bytes() for path in kept] == [before]
 
 
 def test_a_bench_that_needs_them_is_refused_by_name_with_the_fix(store) -> None:

@@ -36,6 +36,40 @@ def test_an_ft300_answers_modbus_until_it_streams():
     assert sensor.receive(2.0, data("ft300-read-wrench")) == data("ft300-read-wrench-reply")
 
 
+def leptrino_frame(*data):
+    content = bytes(data)
+    check = 3
+    for byte in content:
+        check ^= byte
+    return b"\x10\x02" + content.replace(b"\x10", b"\x10\x10") + b"\x10\x03" + bytes((check,))
+
+
+@pytest.mark.parametrize(
+    ("frame", "result"),
+    [
+        (leptrino_frame(5, 0xFF, 0x2A, 0), 1),  # says five, has four
+        (leptrino_frame(8, 0xFF, 0x32, 0, 1, 2, 3, 4), 1),  # more than its command takes
+        (leptrino_frame(4, 0xFF, 0xA6, 0), 1),  # no filter
+        (leptrino_frame(8, 0xFF, 0xA6, 0, 9, 0, 0, 0), 3),  # no such filter
+        (leptrino_frame(4, 0xFF, 0x77, 0), 2),
+        (leptrino_frame(8, 0xFF, 0xA6, 0, 2, 0, 0, 0), 0),
+    ],
+)
+def test_a_leptrino_says_why_it_refuses(frame, result):
+    answer = EmulatedLeptrino(still).receive(0.0, frame)
+    assert answer == leptrino_frame(4, 0xFF, frame[4], result)
+
+
+def test_a_bota_says_that_it_booted_before_it_answers_and_once():
+    sensor = EmulatedBota(still)
+    answers = sensor.receive(0.0, b"C")
+    assert answers.index(b"App Init") < answers.index(b"r,0,C,0")
+    assert sensor.due(0.5) == b"", "quiet while it is configured"
+    sensor.closed(1.0)
+    assert b"App Init" in sensor.due(1.1)
+    assert b"App Init" not in sensor.due(1.2)
+
+
 def test_a_leptrino_tells_its_rated_loads_and_refuses_a_damaged_frame():
     sensor = EmulatedLeptrino(still)
     assert sensor.receive(0.0, data("leptrino-limits")) == data("leptrino-limits-reply")

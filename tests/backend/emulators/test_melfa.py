@@ -1,6 +1,7 @@
 """The emulated controller: what it grants and refuses, jog, moves, stream, errors; by its bytes."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -256,3 +257,12 @@ def test_without_a_limit_it_waits_for_ever():
     client.wait(5.0)
     assert client.command(READY_RAD).timeouts == 0
     assert client.device.controller.error == 0
+
+
+def test_what_a_first_day_asks_is_answered():
+    client = Client()
+    client.device.controller.force_n = lambda: np.array([0.12, -0.34, 9.87])
+    assert client.ask("1;1;PARNETPORT").startswith("QoKNETPORT;10000,10001,")
+    told = client.ask("1;1;VALP_FsCurD")
+    assert told == "QoKP_FsCurD=(+0.12,-0.34,+9.87,+0.00,+0.00,+0.00)(0,0)"
+    assert re.search(settings().force_variable_text, told)

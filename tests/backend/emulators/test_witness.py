@@ -36,9 +36,11 @@ def test_a_command_after_an_emergency_stop_is_seen_with_its_delay(melfa):
     assert melfa.stream.receive(1.0, move(here)) is not None
     melfa.controller.press_emergency_stop()
     assert Witness(melfa).told(0.0).late_command_s == 0.0
+    assert "no command after an error" in str(Witness(melfa).told(0.0))
     melfa.stream.receive(1.25, move(here))
     melfa.stream.receive(1.75, encode_request(Request(Command.NONE, None, (2, 0, 0, 0), 0)))
     assert Witness(melfa).told(0.0).late_command_s == pytest.approx(0.25)
+    assert "250 ms after an error" in str(Witness(melfa).told(0.0))
 
 
 def test_a_step_is_seen_as_a_share_of_the_top_speed(melfa):

@@ -94,6 +94,39 @@ def test_a_text_client_that_left_is_told_nothing_more():
     assert mouth.due(2.0) == b""
 
 
+def test_a_text_client_reads_what_the_manual_lists():
+    mouth = EmulatedGcl(EmulatedWsg(part_mm=20.0))
+    mouth.receive(0.0, b"HOME()\n")
+    mouth.due(9.0)
+
+    def asked(line):
+        return mouth.receive(20.0, line + b"\n").decode().splitlines()
+
+    assert asked(b"TAG?") == ['TAG=""']
+    assert asked(b'TAG="a"') == ['TAG="a"']
+    assert asked(b"TAG?") == ['TAG="a"']
+    assert asked(b"GRIPSTATS?") == ["GRIPSTATS=[0,0,0]"]
+    mouth.receive(10.0, b"GRIP(10,20.5,46)\n")
+    mouth.due(15.0)
+    assert asked(b"GRIPSTATS?") == ["GRIPSTATS=[1,0,0]"]
+    assert asked(b"FDATA[0]?") == ["FDATA[0]=10.0"]
+    (flags,) = asked(b"SYSFLAGS?")
+    assert flags.count(",") == 31
+    assert asked(b"SYSFLAGS[0]?") == ["SYSFLAGS[0]=1"]
+    assert asked(b"SYSFLAGS[99]?")[0].startswith("ERR SYSFLAGS ")
+
+
+def test_grasps_are_counted_until_they_are_reset():
+    client = Client(part_mm=20.0)
+    ask = Request(Command.STATISTICS, (1,))
+    client.send(10.0, wsg_binary.grasp(20.5, 46))
+    client.wait(11.1)
+    client.gripper.jaws.part_mm = None
+    client.wait(11.2)
+    assert client.send(11.3, ask) == [Reply(Command.STATISTICS, 0, (1, 0, 1))]
+    assert client.send(11.4, ask) == [Reply(Command.STATISTICS, 0, (0, 0, 0))]
+
+
 def test_without_a_part_grasp_fails():
     client = Client()
     client.send(10.0, wsg_binary.grasp(20, 400))

@@ -12,7 +12,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 from backend.assembly import Models
-from backend.calibration.applied import seen_by
+from backend.calibration.applied import overruled, seen_by
+from backend.calibration.record import Record
 from backend.calibration.store import CalibrationStore
 from backend.config.lab import Lab, load_lab
 from backend.config.method import StackSettings
@@ -58,14 +59,15 @@ def lab_session(
 
     A model that fits the first piece is loaded now: later that would disturb the arm's stream.
     """
-    lab, catalogue = _as_calibrated(load_lab(choice.file)), load_catalogue(choice.pieces)
+    written, catalogue = load_lab(choice.file), load_catalogue(choice.pieces)
+    lab = _as_calibrated(written)
     method = method or StackSettings()
     bench = _LabBench(lab, catalogue, method, registry)
     session = Session(
         bench.make_stage, bench.check, catalogue,
         settings=method, keep=keep or Keep(), facts=lab.facts,
     )  # fmt: skip
-    bench.wire(session, any_gels=choice.any_gels)
+    bench.wire(session, any_gels=choice.any_gels).notices = otherwise_named(written)
     return session
 
 
@@ -74,13 +76,27 @@ def calibrations_of(lab: Lab) -> CalibrationStore:
     return CalibrationStore(lab.calibrations, lab.settings.kind, f"--bench {lab.path}")
 
 
+def otherwise_named(lab: Lab) -> dict[str, str]:
+    """Return, by device, where the calibration has another camera than the file; it counts."""
+    seats = _seats(lab)
+    if seats is None:
+        return {}
+    return overruled(lab.settings.gelsight, seats, calibrations_of(lab).command("camera"))
+
+
 def _as_calibrated(lab: Lab) -> Lab:
-    """Return the lab with its cameras as the calibration that holds found them to sit."""
-    kept = calibrations_of(lab).standing("camera", {})
-    if kept.condition != "valid" or kept.record is None:
+    """Return the lab with its cameras as the newest calibration found them to sit."""
+    seats = _seats(lab)
+    if seats is None:
         return lab
-    gelsight = seen_by(lab.settings.gelsight, kept.record)
+    gelsight = seen_by(lab.settings.gelsight, seats)
     return Lab(lab.path, lab.settings.model_copy(update={"gelsight": gelsight}))
+
+
+def _seats(lab: Lab) -> Record | None:
+    """Return the calibration of the cameras; age moves no camera to the other finger."""
+    kept = calibrations_of(lab).standing("camera", {})
+    return kept.record if kept.condition in ("valid", "expired") else None
 
 
 class _LabBench:
@@ -100,8 +116,8 @@ class _LabBench:
             first = SceneChoice(first.piece, first.bottoms, estimates=False)
         self._first = first
 
-    def wire(self, session: Session, *, any_gels: bool) -> None:
-        """Make the drivers on the streams of ``session``."""
+    def wire(self, session: Session, *, any_gels: bool) -> Connection:
+        """Make the drivers on the streams of ``session``; returns what connects them."""
         raw, settings = session.raw, self._lab.settings
         self._wired = wired = WiredDevices(
             settings, self._clock.now_s, raw.frames, raw.samples, raw.poses, session.interlock
@@ -121,6 +137,7 @@ class _LabBench:
         connection.prove = GelCheck(None if any_gels else store, wired.devices, raw.frames).prove
         limits = Limits(**settings.limits.model_dump())
         session.join(connection, settings.name, limits, str(self._lab.path))
+        return connection
 
     def make_stage(self, choice: SceneChoice, raw: RawStreams) -> Stage:
         """Return the devices as a scene: what stands on the bench is what the operator says."""

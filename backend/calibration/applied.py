@@ -1,6 +1,7 @@
 """What calibrations that hold change: where the hand goes, how high contact is, what cameras show.
 
-``Placed`` is for the plans; ``seen_by`` corrects the settings of the cameras.
+``Placed`` is for the plans; ``seen_by`` corrects the settings of the cameras, and ``overruled``
+tells where that is not what they say.
 """
 
 from __future__ import annotations
@@ -121,6 +122,23 @@ def seen_by(settings: GelsightSettings, record: Record) -> GelsightSettings:
         for pixel, image in (("x", "u"), ("y", "v"))
     }
     return settings.model_copy(update={**sat, **scale})
+
+
+def overruled(settings: GelsightSettings, record: Record, command: str) -> dict[str, str]:
+    """Return, by device, at which finger the calibration has a camera and the settings do not.
+
+    The calibration counts: who moved the sensors since must hear of it. ``command`` measures anew.
+    """
+    sits, told = seen_by(settings, record), dict[str, str]()
+    for finger in FINGERS:
+        written, found = getattr(settings, finger).serial, getattr(sits, finger).serial
+        if written and written != found:
+            told[f"tactile_{finger}"] = (
+                f"The lab file names {written} for the {finger} finger, the calibration of "
+                f"{record.file.date:%Y-%m-%d} found {found} there, which counts. Exchange the two "
+                f"in the file; or, if the sensors have changed places since, run '{command}'"
+            )
+    return told
 
 
 def _board(record: Record | None) -> Board | None:

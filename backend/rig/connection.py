@@ -62,6 +62,8 @@ class Connection:
         self.prove: Callable[[str, threading.Event], None] = lambda name, cancel: None
         """Called for each device but the arm, once all of them answer and before the arm is
         switched on; raises ``FaultError`` for one that must not be used: it is closed again."""
+        self.notices: Mapping[str, str] = {}
+        """What to know of a device that is ready, beside what it tells itself; no full stop."""
         self._limit_s = limit_s
         self._known = {name: serial for name, serial in (serials or {}).items() if serial}
         self._faults: dict[str, Fault] = {}
@@ -228,7 +230,8 @@ class Connection:
             return DeviceLine(name, "connecting", done)
         if state is DeviceState.READY:
             needs = _needs(device)
-            notice = str(device.describe().get("notice", ""))
+            own = str(device.describe().get("notice", ""))
+            notice = ". ".join(filter(None, (own, self.notices.get(name, ""))))
             return DeviceLine(name, "ready", len(STEPS), device.identity, fault, needs, notice)
         if name in self._waiting:
             return DeviceLine(name, "waiting", 0)

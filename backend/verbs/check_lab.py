@@ -20,6 +20,7 @@ def looks(path: Path) -> Iterator[Callable[[], Check]]:
     settings = lab.settings
     yield partial(Check, "lab file", True, f"{settings.name} ({settings.kind}), {path}")
     yield partial(_made_up, path)
+    yield partial(_fingers, path)
     findings = examine(settings)
     for _ in DEVICES:
         yield partial(_next, findings)
@@ -34,6 +35,17 @@ def _made_up(path: Path) -> Check:
     if not names:
         return Check("made up", True, "nothing")
     return Check("made up", True, ", ".join(names), "Put in the lab's own numbers.")
+
+
+def _fingers(path: Path) -> Check:
+    from backend.config.lab import load_lab
+    from backend.lab import otherwise_named
+
+    told = otherwise_named(load_lab(path))
+    if not told:
+        return Check("cameras", True, "at the fingers that the lab file names, as far as is known")
+    what, _, fix = next(iter(told.values())).partition(". ")
+    return Check("cameras", True, what, f"{fix}.")
 
 
 def _next(findings: Iterator[object]) -> Check:

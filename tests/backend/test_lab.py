@@ -1,16 +1,21 @@
 """A session on a lab file before anything is connected: nothing moves, and STOP is at hand."""
 
+from datetime import UTC, datetime, timedelta
 from importlib.resources import files
 from pathlib import Path
 
 import pytest
 
+from backend.calibration.record import DeviceName
+from backend.config.lab import load_lab
 from backend.core.faults import InputError, RefusedError
 from backend.devices.protocols import DeviceState
-from backend.lab import LabChoice, lab_session
+from backend.lab import LabChoice, calibrations_of, lab_session, otherwise_named
 from backend.runs.requests import ProbeRequest, SceneChoice, SetRequest, StackRequest
 from backend.session import Keep
+from backend.verbs.check_lab import looks
 from tests.backend.rig.scripted import LINES, scripted
+from tests.backend.runs.test_calibrated import SEEN
 
 TEMPLATE = Path(str(files("resources"))) / "benches" / "lab.toml"
 
@@ -72,3 +77,33 @@ def test_a_bottom_that_nobody_knows_is_said_before_any_device_is_touched(tmp_pat
     path.write_text(TEMPLATE.read_text().replace('bottom = "short"', 'bottom = "moon"'))
     with pytest.raises(InputError, match="moon"):
         lab_session(LabChoice(path))
+
+
+@pytest.mark.parametrize("days", [1, 400])
+def test_a_file_with_the_cameras_exchanged_is_told_and_the_calibration_counts(tmp_path, days):
+    """Also where it has expired: age moves no camera to the other finger."""
+    path = tmp_path / "lab.toml"
+    path.write_text(TEMPLATE.read_text())
+    lab = load_lab(path)
+    own = lab.settings.gelsight
+    serials = {"left": own.right.serial, "right": own.left.serial}
+    assert all(serials.values())
+    assert otherwise_named(lab) == {}
+    who = {"maker": "GelSight", "model": "Mini"}
+    calibrations_of(lab).accept(
+        SEEN.told(0.0, "camera"),
+        {f"tactile_{f}": DeviceName(**who, serial=number) for f, number in serials.items()},
+        now=datetime.now(UTC) - timedelta(days=days),
+    )
+    session = lab_session(LabChoice(path), keep=Keep(tmp_path / "runs"))
+    devices, _ = scripted()
+    for line in LINES:
+        devices[line].connect(1.0, session.connection._cancel)
+    session.connection.devices.update(devices)
+    notices = {line.name: line.notice for line in session.connection.lines()}
+    session.close()
+    assert [name for name in LINES if notices[name]] == ["tactile_left", "tactile_right"]
+    assert f"found {serials['left']} there" in notices["tactile_left"]
+    checks = [look() for look in list(looks(path))[:3]]
+    assert [check.word for check in checks] == ["OK", "NOTE", "NOTE"]
+    assert notices["tactile_left"] == f"{checks[2].detail}. {checks[2].fix}".removesuffix(".")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from backend.assembly import SimulatedBenchChoice, simulated_session
-from backend.calibration.applied import seen_by
+from backend.calibration.applied import overruled, seen_by
 from backend.calibration.estimate import Estimate, Quantity
 from backend.calibration.gels import as_places, turned
 from backend.calibration.kinds import KINDS, WHATS
@@ -135,6 +135,13 @@ def test_cameras_are_kept_as_they_sit_whatever_the_settings_were(tmp_path) -> No
     assert (seen.mm_per_px_x, seen.mm_per_px_y) == pytest.approx((0.0585, 0.06))
     # What it corrects is the file, however often it is read; other cameras are left alone.
     assert seen_by(seen, record) == seen
+    # That it counts is said, of each camera that is named otherwise.
+    told = overruled(settings, record, "touchdown calibrate camera")
+    assert list(told) == ["tactile_left", "tactile_right"]
+    assert "names AAAA-1111 for the left finger" in told["tactile_left"]
+    assert "found BBBB-2222 there, which counts" in told["tactile_left"]
+    assert "run 'touchdown calibrate camera'" in told["tactile_right"]
+    assert overruled(seen, record, "") == overruled(GelsightSettings(), record, "") == {}
     other = GelsightSettings.model_validate({"left": {"serial": "CCCC-3333"}})
     assert seen_by(other, record) == other
 

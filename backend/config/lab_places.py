@@ -15,7 +15,8 @@ from backend.core.faults import InputError
 
 URL = re.compile(r"(?:socket|udp|tcp)://(?:[^@/]*@)?(?P<host>\[[^\]]+\]|[^:/]+)")
 TERMINALS = Path("/dev/pts")
-DEVICES = Path("/dev")
+DEVICES, MEMORY = Path("/dev"), Path("/dev/shm")  # noqa: S108 - only compared
+"""The other is a place for temporary files, where no device of the system is."""
 ARM_HOSTS = {"melfa": "melfa.host", "ur": "ur.host"}
 """Where the arm of each driver answers."""
 
@@ -33,7 +34,7 @@ def refuse_wrong_places(settings: HardwareSettings, kind: str, where: str) -> No
                 f"Bad value for 'kind': this bench is called emulated, but '{key}' is no place of "
                 "an emulated device.",
                 where,
-                f"Write kind = \"hardware\", or correct '{key}'.",
+                f"Write kind = \"hardware\", or correct '{key}': a whole path, or 127.0.0.1.",
             )
         if kind == "hardware" and here and key == ARM_HOSTS.get(settings.melfa.driver):
             raise InputError(
@@ -56,7 +57,7 @@ def _places(settings: HardwareSettings) -> Iterator[tuple[str, bool]]:
         yield "ft.address", _is_here(settings.ft.address)
     gelsight = settings.gelsight
     filmed = bool(gelsight.left.file and gelsight.right.file)
-    yield "gelsight.by_id", filmed or not _is_below(Path(gelsight.by_id), DEVICES)
+    yield "gelsight.by_id", filmed or not _is_device(Path(gelsight.by_id))
 
 
 def is_loopback(host: str) -> bool:
@@ -76,7 +77,11 @@ def _is_here(address: str) -> bool:
         return False
     target = path.resolve()
     # A link whose terminal is gone leads nowhere: then its own place decides.
-    return _is_below(target, TERMINALS) or not _is_below(target, DEVICES)
+    return _is_below(target, TERMINALS) or not _is_device(target)
+
+
+def _is_device(path: Path) -> bool:
+    return _is_below(path, DEVICES) and not _is_below(path, MEMORY)
 
 
 def _is_below(path: Path, folder: Path) -> bool:

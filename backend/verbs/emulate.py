@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
     parser.add_argument("--port", type=_port, help="port (default: a free one)")
     parser.add_argument(
-        "--tty", type=Path, metavar="LINK", help="name for the serial port of a wrist sensor"
+        "--tty", type=_whole, metavar="LINK", help="name for the serial port of a wrist sensor"
     )
     parser.add_argument(
         "--faults", type=Path, metavar="FILE", help="fault plan in TOML: what goes wrong, and when"
@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--text", action="store_true", help="a gripper with its text protocol")
     parser.add_argument(
-        "--folder", type=Path, metavar="DIR", help="where an emulated camera is found"
+        "--folder", type=_whole, metavar="DIR", help="where an emulated camera is found"
     )
     parser.add_argument("--finger", choices=FINGERS, default="left", help="which camera")
     parser.add_argument("--serial", default=SERIAL, help="number of the camera")
@@ -83,6 +83,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--for", type=float, dest="for_s", metavar="S", help="end after this time (default: Ctrl-C)"
     )
+
+
+def _whole(text: str) -> Path:
+    """Return a path that also leads there from elsewhere: a bench file is read anywhere."""
+    return Path(text).absolute()
 
 
 def run(args: argparse.Namespace, screen: Screen) -> int:

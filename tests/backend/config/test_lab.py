@@ -115,6 +115,14 @@ def test_no_real_device_is_called_emulated(tmp_path, given, real, key):
         load_lab(written(tmp_path, text.replace(given, real)))
 
 
+def test_a_folder_in_memory_is_no_device(tmp_path):
+    """A folder for temporary files may be below /dev/shm."""
+    for given, real in (("socket://127.0.0.1:4000", "/dev/shm/b/ft"), ("/srv/", "/dev/shm/")):
+        text = (HEAD.format(kind="emulated") + EMULATED).replace(given, real)
+        assert real in text
+        assert load_lab(written(tmp_path, text)).facts.mode == "emulated"
+
+
 def test_facts_follow_the_sensors_and_not_their_addresses(tmp_path):
     def facts(more):
         return load_lab(written(tmp_path, HEAD.format(kind="hardware") + more)).facts

@@ -5,11 +5,13 @@ import queue
 import socket
 import threading
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
 from backend.__main__ import main
 from backend.config.hardware import HardwareSettings
+from backend.config.lab import load_lab
 from backend.config.load import load
 from backend.emulators.serving import SUFFERS
 from backend.verbs import emulate
@@ -93,6 +95,15 @@ def test_bad_words_are_bad_input(words, capsys):
 def test_what_the_emulated_bench_lacks_is_said_before_it_starts(words, capsys):
     assert main(words) == 2
     assert "fix:" in capsys.readouterr().err
+
+
+def test_a_folder_named_from_here_leads_to_the_bench_from_anywhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ["emulate", "bench", "--folder", "new", "--lab-file", "new/lab.toml", "--for", "0.02"]
+    assert main(words) == 0
+    lab = load_lab(tmp_path / "new" / "lab.toml")
+    assert lab.settings.ft.address == str(tmp_path / "new" / "force_torque")
+    assert Path(lab.settings.gelsight.by_id).parent == (tmp_path / "new").resolve()
 
 
 def test_a_bench_leaves_its_file_in_the_folder(tmp_path, capsys):

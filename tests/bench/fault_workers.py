@@ -44,14 +44,14 @@ def hooked() -> Iterator[Mapping[str, str]]:
 
 
 def window(
-    environment: Mapping[str, str], *words: str, module: str = WINDOW
+    environment: Mapping[str, str], *words: str, module: str = WINDOW, limit_s: float = LIMIT_S
 ) -> dict[str, float | str]:
     """Let a worker of a window fail in a process of its own; return what came of it."""
-    missed: dict[str, float | str] = {"told_s": LIMIT_S, "closed_s": LIMIT_S, "left": 0}
+    missed: dict[str, float | str] = {"told_s": limit_s, "closed_s": limit_s, "left": 0}
     try:
         done = subprocess.run(
             [sys.executable, "-m", module, *words], env=environment, capture_output=True, text=True,
-            timeout=LIMIT_S, check=False,
+            timeout=limit_s, check=False,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
         return {**missed, "named": "nothing"}

@@ -1,7 +1,7 @@
 """An emulated GelSight Mini: a folder that looks like the system's, a pipe in place of a device.
 
-``by-id`` holds the stable link, ``names`` the card names, ``nodes`` the devices. After a replug the
-camera is another node, as a real one is.
+``by-id`` holds the stable links, ``names`` the card names, ``nodes`` the devices: two of each, as a
+real camera has them, of which the second carries no pictures. After a replug they are others.
 """
 
 from __future__ import annotations
@@ -57,43 +57,54 @@ class GelsightFront(Front):
 
     @property
     def url(self) -> str:
-        """The stable link."""
-        return str(self._link)
+        """The stable link to the pictures."""
+        return str(self._link(0))
 
     def close(self) -> None:
         """Stop and take the device away."""
         super().close()
         self._pull()
 
-    @property
-    def _link(self) -> Path:
-        name = f"usb-Arducam_GelSight_Mini_R0B_{self._serial}:_Ge-video-index0"
+    def _link(self, index: int) -> Path:
+        name = f"usb-Arducam_GelSight_Mini_R0B_{self._serial}:_Ge-video-index{index}"
         return self._folder / "by-id" / name
 
     def _plug(self) -> Path:
-        """Make the pipe under the first free number, and the entries that lead to it."""
+        """Make the pipe under the first free even number, a mute one beside it, and what leads
+        there; return the first.
+        """
         number = 0
         while True:
-            node = self._folder / "nodes" / f"video{number}"
+            node = self._node_of(number)
             try:
                 os.mkfifo(node)
                 break
             except FileExistsError:
-                number += 2  # the odd ones carry no pictures
-        entry = self._folder / "names" / node.name
-        entry.mkdir(exist_ok=True)
-        (entry / "name").write_text(f"GelSight Mini R0B {self._serial}: Ge\n", "utf-8")
-        (entry / "index").write_text("0\n", "ascii")
-        self._link.unlink(missing_ok=True)
-        self._link.symlink_to(Path("..") / "nodes" / node.name)
+                number += 2
+        self._mute = self._node_of(number + 1)
+        self._mute.unlink(missing_ok=True)  # of one that was killed
+        os.mkfifo(self._mute)
+        for index, one in enumerate((node, self._mute)):
+            entry = self._folder / "names" / one.name
+            entry.mkdir(exist_ok=True)
+            (entry / "name").write_text(f"GelSight Mini R0B {self._serial}: Ge\n", "utf-8")
+            (entry / "index").write_text(f"{index}\n", "ascii")
+            link = self._link(index)
+            link.unlink(missing_ok=True)
+            link.symlink_to(Path("..") / "nodes" / one.name)
         return node
+
+    def _node_of(self, number: int) -> Path:
+        return self._folder / "nodes" / f"video{number}"
 
     def _pull(self) -> None:
         self._hang_up()
-        if self._link.is_symlink() and self._link.readlink().name == self._node.name:
-            self._link.unlink()
-        shutil.rmtree(self._folder / "names" / self._node.name, ignore_errors=True)
-        self._node.unlink(missing_ok=True)
+        for index, one in enumerate((self._node, self._mute)):
+            link = self._link(index)
+            if link.is_symlink() and link.readlink().name == one.name:
+                link.unlink()
+            shutil.rmtree(self._folder / "names" / one.name, ignore_errors=True)
+            one.unlink(missing_ok=True)
 
     def _run(self) -> None:
         due_s = self._clock.now_s()

@@ -5,12 +5,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from backend.config.hardware import WsgSettings
 from backend.emulators.wsg import SERIAL, EmulatedWsg
 from backend.wire import wsg_binary, wsg_gcl
+from backend.wire.framing import WireError
+from backend.wire.lines import LineStream
 from backend.wire.wsg_binary import Number, Reply, Request
 from backend.wire.wsg_gcl import Answer, Assignment, Call, Failure, Line, Query, Scalar
 from backend.wire.wsg_words import Command, Status
@@ -33,10 +36,19 @@ ORDERS = {
     "BYE": Request(Command.DISCONNECT),
 }
 MOTIONS = ("HOME", "MOVE", "GRIP", "RELEASE")
+OTHERS = ("AUTOSEND", "SYSFLAGS", "GRIPSTATS", "FDATA")
+COMMANDS = frozenset({*READINGS, *SELVES, *KEPT, *ORDERS, *MOTIONS, *OTHERS})
 FLAGS = 32
 STATISTICS = Request(Command.STATISTICS, (0,))
 _SPEED_MM_S = 50.0
 _RELEASE_MM = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Unread:
+    """A line that begins with ``name`` and has no form that is known."""
+
+    name: str
 
 
 @dataclass(slots=True)
@@ -54,7 +66,8 @@ class EmulatedGcl:
 
     def __init__(self, gripper: EmulatedWsg, settings: WsgSettings | None = None) -> None:
         self.gripper, self._settings = gripper, settings or WsgSettings()
-        self._lines, self._replies = wsg_gcl.lines(), wsg_binary.replies()
+        self._lines = LineStream[Line | Unread](_read, wsg_gcl.LONGEST)
+        self._replies = wsg_binary.replies()
         self._called: dict[int, str] = {}
         self._acknowledged_s = -APART_S
         self._waiting: list[tuple[float, Line]] = []
@@ -95,8 +108,12 @@ class EmulatedGcl:
         self._waiting = [item for item in self._waiting if item[0] > now_s]
         return out
 
-    def _answer(self, now_s: float, asked: Line) -> list[Line]:
+    def _answer(self, now_s: float, asked: Line | Unread) -> list[Line]:
         match asked:
+            case Unread(name):
+                known = name in COMMANDS
+                wrong = Status.CMD_FORMAT_ERROR if known else Status.CMD_UNKNOWN
+                return [self._ended(name, wrong, "ACK")]
             case Query(name):
                 return self._query(now_s, name)
             case Assignment(name, value) if name in KEPT:
@@ -113,8 +130,8 @@ class EmulatedGcl:
                 return [self._ended(name, status, "ACK")]
             case Call(name, arguments) if name in MOTIONS:
                 return self._move(now_s, name, arguments)
-            case Call(name):
-                return [self._ended(name, Status.CMD_UNKNOWN, "ACK")]
+            case Call(name) | Assignment(name):
+                return self._answer(now_s, Unread(name.partition("[")[0]))
         return []
 
     def _query(self, now_s: float, name: str) -> list[Line]:
@@ -203,3 +220,13 @@ class EmulatedGcl:
             return Answer(good, name)
         text = Status(status).name.lower().replace("_", " ") if self._verbose else ""
         return Failure(name, int(status), text)
+
+
+def _read(content: bytes) -> Line | Unread:
+    """Return a line; one that cannot be read still names what was wanted, or raises."""
+    try:
+        return wsg_gcl.decode(content)
+    except WireError:
+        if found := re.match(rb"[A-Z][A-Z0-9]*", content):
+            return Unread(found[0].decode())
+        raise

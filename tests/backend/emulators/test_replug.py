@@ -5,10 +5,13 @@ import sys
 
 import pytest
 
+from backend.devices.cameras.finding import find_cameras
 from backend.emulators.dynpick import EmulatedDynpick
 from backend.emulators.faults import Faults
 from backend.emulators.gelsight import GelsightFront
 from tests.backend.devices.waiting import until
+
+SERIALS = ("2D8Y-69GR", "28AB-70XY")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no pseudo terminals")
@@ -52,3 +55,26 @@ def test_a_camera_whose_folder_is_gone_ends_quietly(tmp_path):
         until(lambda: not front._thread.is_alive())
     finally:
         front.close()
+
+
+def test_a_camera_has_two_nodes_of_which_the_first_is_found(tmp_path):
+    places = [tmp_path / name for name in ("by-id", "names", "nodes")]
+    fronts = [GelsightFront(lambda now_s: None, tmp_path, serial) for serial in SERIALS]
+    try:
+        nodes = {f"video{number}" for number in range(4)}
+        assert {node.name for node in (tmp_path / "nodes").iterdir()} == nodes
+        found = find_cameras(*places)
+        assert [camera.path.resolve().name for camera in found] == ["video2", "video0"]
+        fronts[0].start()
+        fronts[0].inject("unplug")
+        until(lambda: len(find_cameras(*places)) == 1)
+        assert {node.name for node in (tmp_path / "nodes").iterdir()} == {"video2", "video3"}
+        fronts[0].faults.clear()
+        until(lambda: len(find_cameras(*places)) == 2)
+        # Without stable links the numbers in the names tell the first node from the second.
+        shutil.rmtree(tmp_path / "by-id")
+        assert [camera.path.name for camera in find_cameras(*places)] == ["video2", "video4"]
+    finally:
+        for front in fronts:
+            front.close()
+    assert not any((tmp_path / "nodes").iterdir())

@@ -116,6 +116,29 @@ def test_a_text_client_reads_what_the_manual_lists():
     assert asked(b"SYSFLAGS[99]?")[0].startswith("ERR SYSFLAGS ")
 
 
+@pytest.mark.parametrize(
+    ("line", "answer"),
+    [
+        (b"MOVE(20,,)", "ERR MOVE 15"),
+        (b"MOVE 20", "ERR MOVE 15"),
+        (b'AUTOSEND("POS")', "ERR AUTOSEND 15"),
+        (b"POS=3", "ERR POS 15"),
+        (b"DANCE()", "ERR DANCE 14"),
+        (b"DANCE?", "ERR DANCE 14"),
+        (b"DANCE=1", "ERR DANCE 14"),
+        (b"DANCE now", "ERR DANCE 14"),
+    ],
+)
+def test_a_line_of_no_known_form_is_refused_by_its_name(line, answer):
+    mouth = EmulatedGcl(EmulatedWsg())
+    assert mouth.receive(0.0, line + b"\n") == answer.encode() + b"\n"
+    assert mouth.receive(0.1, b"VERBOSE=1\n" + line + b"\n").startswith(
+        b"VERBOSE=1\n" + answer.encode() + b" cmd "
+    )
+    # What names nothing has no answer, and the next line has.
+    assert mouth.receive(0.2, b"\x00?!\nSN?\n") == b"SN=12345\n"
+
+
 def test_grasps_are_counted_until_they_are_reset():
     client = Client(part_mm=20.0)
     ask = Request(Command.STATISTICS, (1,))

@@ -62,7 +62,7 @@ class JoinedScene:
         self.melfa = EmulatedMelfa(settings, start_rad=start)
         self.world.drive.run(Carried(self))
         self._witness = Witness(self.melfa)
-        self.melfa.controller.force_n = lambda: self.frame.in_base(self._felt[1][-1, :3])
+        self.melfa.controller.felt = self._felt_in_base
         self._zero_s = 0.0
         self._felt: tuple[float, FloatArray] = (0.0, np.zeros((1, 6)))
         self._pictures: dict[Finger, ImageArray] = {}
@@ -106,6 +106,11 @@ class JoinedScene:
         rate_hz = self._scene.settings.wrist.rate_hz
         behind = round((newest_s - (now_s - self._zero_s - LATENCY_S)) * rate_hz)
         return tuple(rows[max(-1 - max(behind, 0), -len(rows))].tolist())
+
+    def _felt_in_base(self) -> FloatArray:
+        """Return the newest wrench (6,) in axes of the arm's base."""
+        newest, in_base = self._felt[1][-1], self.frame.in_base
+        return np.concatenate([in_base(newest[:3]), in_base(newest[3:])])
 
     def picture(self, finger: Finger) -> ImageArray | None:
         """Return the newest picture of a finger; None if it was given already."""

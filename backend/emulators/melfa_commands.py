@@ -42,7 +42,7 @@ OPENED = (
 NETPORTS = tuple(range(10000, 10010))
 """Ports of a controller as it is delivered: the stream, then nine for commands."""
 FORCE = "P_FsCurD"
-"""What the controller's own force sensor measures; here without moments."""
+"""What the controller's own force sensor measures."""
 _ENDS = {"none": b"", "cr": b"\r", "crlf": b"\r\n"}
 _PLACE = re.compile(r"(?i)(MOV|MVS) \(([^()]*)\)\([0-9]+,[0-9]+\)")
 _SPEED = re.compile(r"(?i)(SPD|JOVRD|OVRD) ([0-9.]+)")
@@ -238,9 +238,7 @@ class EmulatedCommands:
 
     def _value(self, request: Request) -> str:
         if request.argument == FORCE:
-            numbers = ",".join(
-                f"{number:+.2f}" for number in (*self._controller.force_n(), 0, 0, 0)
-            )
+            numbers = ",".join(f"{number:+.2f}" for number in self._controller.felt())
             return f"{FORCE}=({numbers})(0,0)"
         value = self._controller.variables.get(request.argument)
         if value is None:

@@ -92,8 +92,8 @@ class EmulatedController:
         self._probe: EmulatedProbe | None = None
         self.variables: dict[str, float] = {}
         """Of the force program."""
-        self.force_n: Callable[[], FloatArray] = lambda: np.zeros(3)
-        """Force on the tool (3,) in axes of the base, as the controller's own sensor has it."""
+        self.felt: Callable[[], FloatArray] = lambda: np.zeros(6)
+        """Wrench on the tool (6,), N and N·m in axes of the base: the controller's own sensor."""
         self.on_cycle: Callable[[], None] = _nothing
         """Called once per cycle: the stream counts its silence there."""
         if streaming:
@@ -198,7 +198,9 @@ class EmulatedController:
         if not set(WRITTEN) <= self.variables.keys():
             raise RefusedCommandError(4340)
         self.variables["MDO"] = 0.0
-        self._probe = EmulatedProbe(self.joints.command_rad, self.variables, self.force_n)
+        self._probe = EmulatedProbe(
+            self.joints.command_rad, self.variables, lambda: self.felt()[:3]
+        )
         self.program = PROBE
 
     def require_program(self, name: str) -> None:

@@ -75,7 +75,7 @@ class Bench:
         self._placing = Orders(self.served.settings.melfa).placing
         self._start_rad = self.controller.joints.true_rad.copy()
         self._joints, self._place_mm = self._start_rad, np.array([0.0, 0.0, ABOVE_MM])
-        self.controller.force_n = lambda: np.array([0.0, 0.0, self.push_n()])
+        self.controller.felt = lambda: np.array([0.0, 0.0, self.push_n(), 0.0, 0.0, 0.0])
         self.backend = Backend(self.served.settings)
         self.rng = random.Random(seed)
         self._threads: list[threading.Thread] = []

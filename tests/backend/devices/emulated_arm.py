@@ -250,7 +250,7 @@ def on_bench(bench: SimulatedBench, **more: object) -> tuple[MelfaArm, SteppedWi
     wires.also = bench.advance
     joints = device.controller.joints
     felt = bench.force_torque.samples
-    device.controller.force_n = lambda: felt.latest(bench.clock.now_s(), 1.0)[1][:3]
+    device.controller.felt = lambda: felt.latest(bench.clock.now_s(), 1.0)[1]
     world.drive.run(
         _Follow(
             lambda: placing.pivot_mm(joints.true_rad),

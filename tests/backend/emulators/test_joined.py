@@ -140,6 +140,11 @@ def test_the_world_goes_where_the_joints_are_and_a_descent_is_a_probe(bench):
     assert world.holding.probe == 1
     assert world.holding.press_n > 1.0
     assert bench.felt_n() > -14.7 + world.holding.weight_g[2]
+    # The arm's own sensor feels the same, moments and all, in axes of its base.
+    felt, told = bench.joined._felt[1][-1], bench.joined.melfa.controller.felt()
+    in_base = bench.joined.frame.in_base
+    assert np.abs(felt[3:]).max() > 0.01
+    np.testing.assert_allclose(told, [*in_base(felt[:3]), *in_base(felt[3:])])
 
 
 def test_a_late_world_is_felt_late_and_not_otherwise(bench):

@@ -261,8 +261,8 @@ def test_without_a_limit_it_waits_for_ever():
 
 def test_what_a_first_day_asks_is_answered():
     client = Client()
-    client.device.controller.force_n = lambda: np.array([0.12, -0.34, 9.87])
+    client.device.controller.felt = lambda: np.array([0.12, -0.34, 9.87, 0.01, 0.02, 0.0])
     assert client.ask("1;1;PARNETPORT").startswith("QoKNETPORT;10000,10001,")
     told = client.ask("1;1;VALP_FsCurD")
-    assert told == "QoKP_FsCurD=(+0.12,-0.34,+9.87,+0.00,+0.00,+0.00)(0,0)"
+    assert told == "QoKP_FsCurD=(+0.12,-0.34,+9.87,+0.01,+0.02,+0.00)(0,0)"
     assert re.search(settings().force_variable_text, told)

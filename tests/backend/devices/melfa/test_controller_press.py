@@ -145,8 +145,8 @@ class Program:
             return np.array([0.0, 0.0, press_n if self.numbers else np.nan])
 
         rig.contact = felt
-        rig.device.controller.force_n = lambda: np.array(
-            [0.0, 0.0, spring_n_mm * max(touch_mm - rig.true_mm[2], 0.0)]
+        rig.device.controller.felt = lambda: np.array(
+            [0.0, 0.0, spring_n_mm * max(touch_mm - rig.true_mm[2], 0.0), 0.0, 0.0, 0.0]
         )
         rig.arm.connect(1.0, threading.Event())
         rig.rest(0.6)

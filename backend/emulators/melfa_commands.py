@@ -24,8 +24,9 @@ from backend.wire.melfa_r3 import LONGEST_REQUEST, Reply, Request
 from backend.wire.melfa_r3_answers import Progress, State
 from backend.wire.melfa_r3_positions import Reading
 
-GAP_S = 0.01
-"""A request without an end is taken as whole after this silence."""
+GAP_S = 0.05
+"""A request without an end is taken as whole after this silence; the second segment of one that
+was sent in two waits up to 40 ms for the first to be acknowledged."""
 PACE_S = 0.1
 TEXTS = {
     50: "External emergency stop",

@@ -30,6 +30,8 @@ AXIS_TURN_RAD_S = 0.5
 READY_RAD = np.radians([0.0, 20.0, 100.0, 0.0, 60.0, 0.0])
 """Where it stands when it is switched on: the hand points down."""
 STREAM, PROBE, IDLE = "stream", "probe", ""
+PLAIN = "MXT"
+"""The stream by the name that clients of other makers give its program."""
 JOINT, STRAIGHT, TOOL = 0, 1, 2
 PAST = 300
 """Cycles whose joints are remembered: somewhat more than a second."""
@@ -192,7 +194,7 @@ class EmulatedController:
         if self.held:
             raise RefusedCommandError(5120)
         self.loaded = name
-        if name == self.settings.mxt.program:
+        if name in (self.settings.mxt.program, PLAIN):
             self.program = STREAM
             return
         if not set(WRITTEN) <= self.variables.keys():
@@ -205,7 +207,7 @@ class EmulatedController:
 
     def require_program(self, name: str) -> None:
         """Raise the refusal of a program that is not in the controller."""
-        here = (self.settings.mxt.program, self.settings.fsc.program)
+        here = (self.settings.mxt.program, PLAIN, self.settings.fsc.program)
         if name not in here or name in self.missing_programs:
             raise RefusedCommandError(4140)
 

@@ -106,9 +106,10 @@ class EmulatedStream:
         if not controller.servo:
             controller.raise_error(2000)
             return False
-        share = np.abs(target - controller.joints.command_rad) / (SPEEDS_RAD_S * CYCLE_S)
-        self.largest_share = max(self.largest_share, float(share.max()))
-        if self.largest_share > TOLERANCE:
+        shares = np.abs(target - controller.joints.command_rad) / (SPEEDS_RAD_S * CYCLE_S)
+        share = float(shares.max())
+        self.largest_share = max(self.largest_share, share)
+        if share > TOLERANCE:
             controller.raise_error(mxt.error_overspeed)
             return False
         controller.joints.command_rad = target

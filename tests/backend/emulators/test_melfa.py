@@ -74,8 +74,8 @@ def test_a_reply_ends_as_the_request_did(end):
 def test_a_request_without_an_end_is_taken_after_a_gap():
     client = Client()
     assert client.session.receive(0.0, b"1;1;OVRD") == b""
-    assert client.session.due(0.005) == b""
-    assert client.session.due(0.02) == b"QoK100"
+    assert client.session.due(0.04) == b""
+    assert client.session.due(0.06) == b"QoK100"
 
 
 def test_published_requests_are_understood():
@@ -240,6 +240,18 @@ def test_a_step_too_large_or_a_joint_too_far_ends_it_with_an_error(step_rad, err
     assert client.device.controller.error == error
     assert not client.device.controller.servo
     assert client.joints == pytest.approx(READY_RAD)
+    # Once the alarm is reset it goes on as before.
+    assert [client.ask(f"1;1;{order}") for order in ("RSTALRM", "SLOTINIT")] == ["QoK", "QoK"]
+    client.streaming()
+    assert client.command(READY_RAD) is not None
+    assert client.device.stream.largest_share > 1.0 or error == 2602, "and yet that was seen"
+
+
+def test_a_client_of_another_maker_runs_the_stream_by_its_own_name():
+    client = Client().ready()
+    assert client.ask("1;1;RUNANY;1") == "QeR4140"
+    assert client.ask("1;1;PRGLOAD=MXT") == client.ask("1;1;RUNMXT;1") == "QoK"
+    assert client.command(READY_RAD) is not None
 
 
 def test_silence_is_counted_and_ends_it_after_the_set_number_of_cycles():

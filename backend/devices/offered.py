@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import entry_points
 from typing import TypeVar
 
@@ -21,8 +21,7 @@ def find_offered(group: str, name: str, shipped: Mapping[str, Maker], where: str
         return shipped[name]
     offered = {point.name: point for point in entry_points(group=group)}
     if name not in offered:
-        known = ", ".join([*shipped, *sorted(offered)])
-        raise InputError(f"There is no driver '{name}'.", where, f"Use one of {known}.")
+        raise no_driver(name, where, [*shipped, *sorted(offered)])
     try:
         maker: Maker = offered[name].load()
     except (ImportError, AttributeError) as error:
@@ -30,3 +29,12 @@ def find_offered(group: str, name: str, shipped: Mapping[str, Maker], where: str
             f"The driver '{name}' cannot be loaded: {error}.", where, "Install its package anew."
         ) from error
     return maker
+
+
+def no_driver(name: str, where: str, known: Sequence[str]) -> InputError:
+    """Return the error of a driver that none of the installed packages offers."""
+    return InputError(
+        f"There is no driver '{name}'.",
+        where,
+        f"Use one of {', '.join(known)}, or install the package that offers it.",
+    )

@@ -61,6 +61,10 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     lab = load_lab(args.file)
     if args.connect:
         return _connect(args.file, screen)
+    # Imported here: a new file is written without it.
+    from backend.devices.found import refuse_unknown_drivers
+
+    refuse_unknown_drivers(lab.settings, str(args.file))
     _show(lab, screen)
     return 0
 

@@ -1,6 +1,7 @@
 """``touchdown bench``, and what other verbs refuse of a lab file before touching a device."""
 
 import json
+import re
 from argparse import ArgumentParser
 
 import pytest
@@ -27,6 +28,20 @@ def test_a_new_file_is_read_back_with_what_is_still_made_up(lab, capsys):
     assert {"melfa.mxt.error_overspeed"} | blank <= set(told["placeholders"])
     assert main(["bench", str(lab)]) == 0
     assert "put in the lab's own numbers" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("table", "key"),
+    [("[ft]", "ft"), ("[gelsight]", "gelsight"), ("[wsg]", "wsg"), ("[melfa]", "melfa")],
+)
+def test_a_driver_that_nobody_offers_is_named_before_anything_is_connected(lab, capsys, table, key):
+    text = re.sub(r"(?m)^driver = .*\n", "", lab.read_text("utf-8"))
+    lab.write_text(text.replace(table, f'{table}\ndriver = "mine"'), "utf-8")
+    assert main(["bench", str(lab)]) == 2
+    told = capsys.readouterr().err
+    assert "There is no driver 'mine'." in told
+    assert f"{lab}, {key}.driver" in told.replace("\n", "")
+    assert "install the package that offers it" in " ".join(told.split())
 
 
 def test_what_stands_there_is_what_the_lab_file_says_unless_it_is_named(lab):

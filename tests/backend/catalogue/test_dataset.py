@@ -8,6 +8,7 @@ import sqlite3
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from backend.catalogue.database import Database
@@ -171,6 +172,16 @@ def test_a_foreign_catalogue_is_one_input_error(tmp_path: Path, content: bytes) 
     (tmp_path / "dataset.json").write_text(json.dumps({"uuid": 1}))
     with pytest.raises(InputError, match="description"):
         Dataset.open(tmp_path)
+
+
+def test_a_damaged_catalogue_is_not_held_open(tmp_path: Path) -> None:
+    path = tmp_path / "catalog.db"
+    path.write_bytes(b"no database at all" * 100)
+    with pytest.raises(InputError, match="cannot be opened") as shown:
+        Database.open(path, write=True)
+    # As long as the error is shown, it refers to the frames that opened the file.
+    assert shown.tb is not None
+    assert str(path) not in {file.path for file in psutil.Process().open_files()}
 
 
 def test_network_file_systems_are_refused(tmp_path: Path) -> None:

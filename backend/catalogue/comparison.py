@@ -86,16 +86,16 @@ def answers(database: Database, person: str, *, blind: bool | None = None) -> di
     FROM (
         SELECT r.episode, r.geometry, r.x_um, r.y_um, r.theta_mdeg, r.sigma_um, r.verdict, o.body,
             o.lamport, o.seq FROM op o JOIN label_rev r USING (op_uuid)
-        WHERE o.actor = ?1 AND o.verb IN ('label.set', 'label.accept_next')
+        WHERE o.actor = ? AND o.verb IN ('label.set', 'label.accept_next')
         UNION ALL
         SELECT p.episode, h.geometry, p.x_um, p.y_um, p.theta_mdeg, p.sigma_um, p.verdict, o.body,
             o.lamport, o.seq FROM op o JOIN opinion p USING (op_uuid)
         JOIN label_head l ON l.episode = p.episode JOIN label_rev h ON h.rev_uuid = l.rev_uuid
-        WHERE o.actor = ?1
+        WHERE o.actor = ?
     ) ORDER BY lamport, seq
     """
     found: dict[str, Answer] = {}
-    for row in database.rows(sql, (person,)):
+    for row in database.rows(sql, (person, person)):
         episode, geometry, *label, verdict, seen_ms, hidden = row
         if blind is not None and (hidden is None or bool(hidden) is not blind):
             continue

@@ -85,13 +85,13 @@ def _rows(where: Store, known: Mapping[str, int], folders: set[str]) -> list[Row
     # '0' follows '/'. Of a folder's own files alone: those further below have one of their own.
     # Asked of the index by path first, and of the rows then: most folders have none to read.
     sql += (
-        " AND uuid IN (SELECT uuid FROM episode WHERE path >= ?1 || '/' AND path < ?1 || '0'"
-        " AND NOT instr(substr(path, ?2), '/'))"
+        " AND uuid IN (SELECT uuid FROM episode WHERE path >= ? || '/' AND path < ? || '0'"
+        " AND NOT instr(substr(path, ?), '/'))"
     )
     rows = [
         Row._make(row)
         for name in sorted(folders)
-        for row in where.database.rows(sql, (name, len(name) + 2))
+        for row in where.database.rows(sql, (name, name, len(name) + 2))
     ]
     # Not by kind, which is in no index: what is not in a pack is a file.
     count_sql = "SELECT count(*) FROM episode WHERE NOT (path >= 'packs/' AND path < 'packs0')"

@@ -78,7 +78,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         _complain(words, f"{fault.what} {fault.consequence}", fault.code, fault.next_step)
         return FAILED
     except RefusedError as error:
-        _complain(words, error.detail, error.reason, "Bring the bench into the named condition.")
+        fix = error.next_step or "Bring the bench into the named condition."
+        _complain(words, error.what, error.reason, fix)
         return FAILED
     except TouchdownError as error:
         _complain(words, str(error), type(error).__name__, "")

@@ -40,12 +40,14 @@ from backend.session import Keep, Session
 class LabChoice:
     """Which lab, by its file; ``pieces``: folder with further piece files.
 
-    ``any_gels``: connect also other gels than were calibrated, to calibrate them.
+    ``any_gels``: connect also other gels than were calibrated, to calibrate them. ``campaign``:
+    on hardware, not without calibrations that hold.
     """
 
     file: Path
     pieces: Path | None = None
     any_gels: bool = False
+    campaign: bool = False
 
 
 def lab_session(
@@ -57,9 +59,13 @@ def lab_session(
 ) -> Session:
     """Return a session on the devices of ``choice``; raises ``InputError`` for a bad file.
 
+    For a campaign it raises ``RefusedError`` naming the first calibration that does not hold, and
+    what measures it, before anything is connected; devices are compared when a run begins.
     A model that fits the first piece is loaded now: later that would disturb the arm's stream.
     """
     written, catalogue = load_lab(choice.file), load_catalogue(choice.pieces)
+    if choice.campaign and written.settings.kind == "hardware":
+        calibrations_of(written).in_use({}, required=True)
     lab = _as_calibrated(written)
     method = method or StackSettings()
     bench = _LabBench(lab, catalogue, method, registry)

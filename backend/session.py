@@ -195,6 +195,8 @@ class Session:
 
     def run(self, request: Request) -> None:
         """Run to the end on this thread, as fast as it computes. Raises what ended it early."""
+        if self.hand is not None and not self.simulated:
+            self.hand.refuse_turned()
         plan = self._plan(request)
         try:
             self.engine.run(plan, self.advance)

@@ -91,7 +91,7 @@ def refuse_other_bottom(used: Mapping[What, Record], bottom: str, command: str) 
     if board is not None and board.bottom != bottom:
         raise RefusedError(
             "CALIBRATION-OTHER-BOTTOM",
-            f"Board: it was felt on {board.bottom}, not on {bottom}. "
+            f"Board: it was felt on {board.bottom}, not on {bottom}.",
             f"Run '{command} --bottom {bottom}'.",
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -48,6 +49,10 @@ class Standing:
         if self.what != "camera" or self.record is None or self.record.file.gels:
             return ""
         return "no fingerprint of the gels yet"
+
+
+def _ago(days: float) -> str:
+    return f"{days:.0f} days" if days >= 2.0 else f"{math.ceil(24.0 * days)} h"
 
 
 class CalibrationStore:
@@ -138,7 +143,7 @@ class CalibrationStore:
             return Standing(what, "other device", record, f"made with {other} {then}", command)
         left = record.days_left(now or datetime.now(UTC))
         if left < 0:
-            return Standing(what, "expired", record, f"expired {-left:.0f} days ago", command)
+            return Standing(what, "expired", record, f"expired {_ago(-left)} ago", command)
         return Standing(what, "valid", record, "", command)
 
     def standings(
@@ -163,7 +168,8 @@ class CalibrationStore:
                 title = KINDS[standing.what].title
                 raise RefusedError(
                     f"CALIBRATION-{standing.condition.upper().replace(' ', '-')}",
-                    f"{title}: {standing.why}. {standing.fix}",
+                    f"{title}: {standing.why}.",
+                    standing.fix,
                 )
         return used
 

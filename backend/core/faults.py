@@ -44,11 +44,15 @@ class FaultError(TouchdownError):
 
 
 class RefusedError(TouchdownError):
-    """The interlock refused a command; ``reason`` is the name of the condition that failed."""
+    """The interlock refused a command; ``reason`` is the name of the condition that failed.
 
-    def __init__(self, reason: str, detail: str) -> None:
-        super().__init__(f"{detail} [{reason}]")
-        self.reason, self.detail = reason, detail
+    ``detail`` says what, and then ``next_step`` where that is told apart.
+    """
+
+    def __init__(self, reason: str, what: str, next_step: str = "") -> None:
+        self.reason, self.what, self.next_step = reason, what, next_step
+        self.detail = f"{what} {next_step}".rstrip()
+        super().__init__(f"{self.detail} [{reason}]")
 
 
 class StaleSampleError(TouchdownError):

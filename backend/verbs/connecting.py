@@ -71,13 +71,17 @@ def refuse_lab_arguments(args: argparse.Namespace) -> None:
 
 
 def lab_choice(args: argparse.Namespace) -> LabChoice:
-    """Return the lab of ``--bench``; raises ``InputError`` for what only simulations have."""
+    """Return the lab of ``--bench``, for a campaign.
+
+    Raises ``InputError`` for what only simulations have.
+    """
     from backend.lab import LabChoice
 
     for name in ("preset", "inject", "emulated"):
         if getattr(args, name, None):
             raise InputError("That is of the simulated bench.", f"--{name}", "Leave it out here.")
-    return LabChoice(Path(args.bench), Path(args.pieces) if args.pieces else None)
+    pieces = Path(args.pieces) if args.pieces else None
+    return LabChoice(Path(args.bench), pieces, campaign=True)
 
 
 @contextmanager
@@ -92,7 +96,7 @@ def lab_bench(
 ) -> Iterator[Session]:
     """Open a session on the devices of a lab file and connect all; closed in the end.
 
-    Raises ``InputError`` for the file, ``FaultError`` naming the first device that failed.
+    Raises what ``lab_session`` does, and ``FaultError`` naming the first device that failed.
     """
     from backend.lab import lab_session
     from backend.learning.registry import Registry

@@ -221,7 +221,7 @@ def test_a_bench_that_needs_them_is_refused_by_name_with_the_fix(store) -> None:
     assert len({record.sha256 for record in used.values()}) == 5
     error = refusal(NOW + timedelta(2))
     assert error.reason == "CALIBRATION-EXPIRED"
-    assert error.detail.startswith("Board: expired 1 days ago")
+    assert error.detail.startswith("Board: expired 24 h ago")
     assert set(store.in_use(DEVICES, required=False, now=NOW + timedelta(2))) == set(used) - {
         "board"
     }

@@ -175,6 +175,15 @@ def test_a_turned_hand_stays_high_until_it_is_level_and_nothing_starts_before(hi
     high.engine.tick()
 
 
+def test_a_run_of_the_command_line_does_not_begin_with_a_turned_hand_either(high):
+    """On devices the hand is where an earlier run, or its end by a fault, has left it."""
+    hold(high, 1.0, "rx")
+    rest(high)
+    high.simulated = False
+    with pytest.raises(RefusedError, match="level it first"):
+        high.run(ProbeRequest())
+
+
 def test_a_turn_ends_where_the_hand_leans_as_far_as_it_may(high):
     facts, most = told(high), Limits().tilt_rad
     steps(high, "rx", math.radians(5.0))

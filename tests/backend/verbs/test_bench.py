@@ -44,6 +44,21 @@ def test_a_driver_that_nobody_offers_is_named_before_anything_is_connected(lab, 
     assert "install the package that offers it" in " ".join(told.split())
 
 
+@pytest.mark.parametrize("verb", ["stack", "collect"])
+def test_a_campaign_on_hardware_without_calibrations_connects_nothing(
+    lab, capsys, tmp_path, monkeypatch, verb
+):
+    monkeypatch.setenv("TOUCHDOWN_DATA", str(tmp_path / "data"))
+    assert main([verb, "--bench", str(lab), "--home"]) == 1
+    told = capsys.readouterr()
+    assert "Payload: never calibrated on this bench." in told.err
+    assert "where: CALIBRATION-MISSING" in told.err
+    command = f"Run 'touchdown calibrate payload --bench {lab} --accept'."
+    assert f"fix:   {command}" in " ".join(told.err.split("\n")).replace("  fix", "fix")
+    assert "homing" not in told.out
+    assert "force_torque" not in told.out
+
+
 def test_what_stands_there_is_what_the_lab_file_says_unless_it_is_named(lab):
     text = lab.read_text("utf-8").replace('bottom = "short"', 'bottom = "square15"')
     lab.write_text(text.replace('piece = "pot"', 'piece = "barrel"'), "utf-8")

@@ -204,9 +204,10 @@ def _frames_s(frames: Stream[TactileFrame], t_s: float) -> FloatArray:
 def _timing_table(timings: Sequence[Timing]) -> Table:
     table = Table(title=f"Time, {WATCHED_S:.0f} s at rest, all on this computer's clock")
     table.add_column("sensor", min_width=len("tactile_right"))
-    for column in ("samples", "Hz", "interval \N{PLUS-MINUS SIGN}ms, 99 %", "longest ms",
-                   "age ms", "age ms, 99 %"):  # fmt: skip
-        table.add_column(column, justify="right")
+    # Short words: a terminal of 80 columns would cut the last figure, which is then another one.
+    for column in ("samples", "Hz", "interval\n\N{PLUS-MINUS SIGN}ms, 99 %", "longest\nms",
+                   "age\nms", "age ms,\n99 %"):  # fmt: skip
+        table.add_column(column, justify="right", no_wrap=True)
     for one in timings:
         values = (one.rate_hz, one.spread_ms, one.gap_ms, one.age_ms, one.late_ms)
         table.add_row(one.name, str(one.samples), *(f"{value:.1f}" for value in values))

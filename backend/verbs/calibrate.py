@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import getpass
+import shlex
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -46,6 +47,7 @@ NAME = "calibrate"
 HELP = "measure and accept calibrations, or show how they stand"
 JSON_VERSION = 1
 BOTTOM = "square15"
+ORIGIN, PITCH_MM = (0.0, 0.0), 1.9
 TITLES: dict[str, str] = {kind.what: kind.title for kind in KINDS.values()}
 
 
@@ -55,11 +57,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--accept", action="store_true", help="keep the result if it is acceptable")
     add_scene_arguments(parser, BOTTOM, "board or bottom")
     parser.add_argument(
-        "--origin", type=float, nargs=2, default=(0.0, 0.0), metavar=("X", "Y"),
+        "--origin", type=float, nargs=2, default=ORIGIN, metavar=("X", "Y"),
         help="centre of the bottom in the frame of the arm, mm (default: 0 0)",
     )  # fmt: skip
     parser.add_argument(
-        "--pitch", type=float, default=1.9, metavar="MM", help="of the dots (default: 1.9)"
+        "--pitch", type=float, default=PITCH_MM, metavar="MM", help="of the dots (default: 1.9)"
     )
     parser.add_argument(
         "--hand-over", action="store_true",
@@ -242,14 +244,34 @@ def _store_of(args: argparse.Namespace) -> CalibrationStore:
     from backend.config.lab import load_lab
 
     folder = Path(args.calibrations) if args.calibrations else calibrations_folder()
-    other = f" --calibrations {args.calibrations}" if args.calibrations else ""
-    if args.bench is not None and is_lab_file(Path(args.bench)):
+    at_lab = args.bench is not None and is_lab_file(Path(args.bench))
+    where = _where_words(args, at_lab=at_lab)
+    if at_lab:
         lab = load_lab(Path(args.bench))
         own = folder if args.calibrations else lab.calibrations
-        return CalibrationStore(own, lab.settings.kind, f"--bench {args.bench}{other}")
-    if args.emulated:
-        return CalibrationStore(folder, "emulated", f"--emulated{other}")
-    return CalibrationStore(folder, "simulated", other.strip())
+        return CalibrationStore(own, lab.settings.kind, where)
+    return CalibrationStore(folder, "emulated" if args.emulated else "simulated", where)
+
+
+def _where_words(args: argparse.Namespace, *, at_lab: bool) -> str:
+    """Return the arguments that a command over the same bench needs, as a shell takes them.
+
+    On a lab's bench the gripper has to be homed whenever it was switched on: the jaws are empty
+    at the start of every calibration, so ``--home`` is always right there.
+    """
+    words = ["--bench", args.bench] if args.bench is not None else []
+    words += ["--home"] if at_lab else []
+    words += ["--emulated"] if args.emulated else []
+    words += ["--hand-over"] if args.hand_over else []
+    for flag in ("preset", "piece", "bottom", "override", "person", "calibrations"):
+        given = getattr(args, flag)
+        words += [] if given is None else [f"--{flag}", str(given)]
+    if tuple(args.origin) != ORIGIN:
+        words += ["--origin", *(f"{value:g}" for value in args.origin)]
+    for flag, usual in (("pitch", PITCH_MM), ("seed", 0)):
+        given = getattr(args, flag)
+        words += [] if given == usual else [f"--{flag}", str(given)]
+    return shlex.join(words)
 
 
 @contextmanager

@@ -1,13 +1,17 @@
 """``touchdown bench``, and what other verbs refuse of a lab file before touching a device."""
 
+import io
 import json
 import re
 from argparse import ArgumentParser
 
 import pytest
+from rich.console import Console
 
 from backend.__main__ import main
+from backend.rig.timing import Timing
 from backend.verbs import collect, stack
+from backend.verbs.bench import _timing_table
 from backend.verbs.connecting import name_scene
 
 
@@ -97,3 +101,11 @@ def test_what_does_not_go_together_is_one_clear_error(lab, capsys, words, where)
     assert main([str(lab) if word == "LAB" else word for word in words]) == 2
     told = capsys.readouterr().err
     assert where in (json.loads(told)["error"]["where"] if "--json" in words else told)
+
+
+def test_the_table_of_times_is_whole_in_a_terminal_of_80_columns() -> None:
+    timing = Timing("tactile_right", 595, 200.0, 1020.3, 1150.9, 1225.2, 1129.4)
+    text = io.StringIO()
+    Console(file=text, width=80).print(_timing_table([timing]))
+    assert all(figure in text.getvalue() for figure in ("595", "1020.3", "1225.2", "1129.4"))
+    assert "99 %" in text.getvalue()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import re
+import shlex
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -84,6 +86,56 @@ def test_status_says_what_lacks_and_what_to_do(capsys) -> None:
     rows = json.loads(capsys.readouterr().out)["calibrations"]
     assert [row["what"] for row in rows] == list(WHATS)
     assert [row["condition"] for row in rows] == ["valid"] + 4 * ["missing"]
+
+
+LAB = """version = 1
+name = "Here"
+kind = "emulated"
+[mounting]
+sensor_height_mm = 120.0
+sensor_yaw_rad = 0.0
+payload_kg = 1.5
+payload_com_mm = [0.0, 0.0, 60.0]
+[melfa]
+host = "127.0.0.1"
+[wsg]
+host = "127.0.0.1"
+[ft]
+driver = "dynpick"
+address = "socket://127.0.0.1:5000"
+[gelsight]
+by_id = "/tmp/by-id"
+[gelsight.left]
+serial = "L"
+[gelsight.right]
+serial = "R"
+"""
+
+
+def test_the_command_that_status_names_works_as_it_is_pasted(tmp_path, capsys) -> None:
+    """It homes a lab's gripper, and keeps what was asked for: bench, speed, place, folder."""
+    lab = tmp_path / "a lab.toml"
+    lab.write_text(LAB)
+    words = ["--bench", str(lab), "--override", "100", "--bottom", "square15",
+             "--origin", "1.5", "-2", "--person", "Ada L"]  # fmt: skip
+    assert main(["calibrate", "status", *words]) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    given = re.findall(r"Run 'touchdown (calibrate .*?--accept)'\.", said)
+    assert [shlex.split(command)[1] for command in given] == list(WHATS)
+    parser = argparse.ArgumentParser()
+    calibrate.add_arguments(parser)
+    pasted = parser.parse_args(shlex.split(given[0])[1:])
+    assert (pasted.bench, pasted.home, pasted.override) == (str(lab), True, 100)
+    assert (pasted.bottom, pasted.origin, pasted.person) == ("square15", [1.5, -2.0], "Ada L")
+    assert pasted.accept
+
+
+def test_status_of_another_simulated_bench_names_it(tmp_path, capsys) -> None:
+    bench = tmp_path / "bench.toml"
+    bench.write_text('preset = "off"\n')
+    assert main(["calibrate", "status", "--bench", str(bench), "--pitch", "2"]) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"touchdown calibrate board --bench {bench} --pitch 2.0 --accept" in said
 
 
 def test_a_board_that_is_not_there_is_said_with_exit_code_1(tmp_path, capsys) -> None:

@@ -44,6 +44,7 @@ class PlaceForm(QWidget):
             inset(spin)
         self.hand_over = QCheckBox("Hand the piece over (no jig)")
         first, second = QHBoxLayout(), QHBoxLayout()
+        self._titles: dict[QWidget, QWidget] = {}
         for row, text, field in (
             (first, "Piece", self.piece),
             (first, "Bottom", self.bottom),
@@ -53,6 +54,7 @@ class PlaceForm(QWidget):
         ):
             title = label(text, "muted")
             title.setBuddy(field)
+            self._titles[field] = title
             field.setAccessibleName(text)
             row.addWidget(title)
             row.addWidget(field)
@@ -62,6 +64,11 @@ class PlaceForm(QWidget):
         for row in (first, second):
             row.addStretch(1)
             column.addLayout(row)
+
+    def show_pitch(self, on: bool) -> None:
+        """Show the pitch of the dots, which cameras alone are measured by."""
+        for widget in (self.pitch_mm, self._titles[self.pitch_mm]):
+            widget.setVisible(on)
 
     def request(self, what: What) -> CalibrateRequest:
         """Return what the fields say."""

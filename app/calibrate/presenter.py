@@ -199,6 +199,7 @@ class CalibratePresenter:
             unit="" if found is None else found.unit,
             kind=COUNTS[what],
             figure=_figure(found),
+            empty=self._empty(what),
             within=None if found is None else found.residual <= found.limit,
             note=self._note(found),
             note_bad=found is not None and bool(found.obstacle),
@@ -212,6 +213,15 @@ class CalibratePresenter:
         if found is None:
             return self._said.get(self._chosen, "")
         return " ".join(text for text in (found.obstacle, found.note) if text)
+
+    def _empty(self, what: What) -> str:
+        """Return what stands in place of residuals: what is kept, and from when."""
+        standing = self._standings.get(what)
+        if standing is None or standing.record is None:
+            return "Measure first."
+        file = standing.record.file
+        by = f" by {file.person}" if file.person else ""
+        return f"Last measured {file.date:%Y-%m-%d %H:%M} UTC{by}: {file.residual:.2g} {file.unit}."
 
     def _row(self, what: What) -> tuple[str, str]:
         standing = self._standings.get(what)

@@ -22,6 +22,7 @@ class ResidualBars(QWidget):
         self._theme = theme
         self._sizes: tuple[float, ...] = ()
         self._limit, self._unit, self._counts = 1.0, "", ""
+        self.empty = ""
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.setAccessibleName("Residuals")
 
@@ -44,6 +45,14 @@ class ResidualBars(QWidget):
         self.setAccessibleDescription(f"largest {largest:.3g} {unit}, limit {limit:g} {unit}")
         self.update()
 
+    def show_empty(self, text: str) -> None:
+        """Show ``text`` while there is nothing to draw."""
+        if text != self.empty:
+            self.empty = text
+            if not self._sizes:
+                self.setAccessibleDescription(text)
+            self.update()
+
     def paintEvent(self, event: QPaintEvent) -> None:
         """Draw the bars."""
         painter = QPainter(self)
@@ -51,7 +60,9 @@ class ResidualBars(QWidget):
             painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
             painter.setFont(ui_font(self._theme.scale, 0.85))
             if not self._sizes:
-                draw_message(painter, self.rect(), self._theme, "No residual yet", "Measure first.")
+                draw_message(
+                    painter, self.rect(), self._theme, "Not measured since the start", self.empty
+                )
                 return
             self._draw(painter)
         finally:

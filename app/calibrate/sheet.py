@@ -37,7 +37,8 @@ class SheetLook:
     """Everything that changes. ``rows``: (condition, tone) per calibration; ``chosen`` of them.
 
     ``steps`` with the number of the one under way (-1: none); ``figure`` is the residual in words;
-    ``within`` its limit, None while there is none; ``kind`` says what of the residuals counts.
+    ``within`` its limit, None while there is none; ``kind`` says what of the residuals counts;
+    ``empty`` stands in their place while there are none.
     ``why``: what stands against measuring, "" if nothing does.
     """
 
@@ -58,6 +59,7 @@ class SheetLook:
     unit: str
     kind: str
     figure: str
+    empty: str
     within: bool | None
     note: str
     note_bad: bool
@@ -122,6 +124,7 @@ class CalibrateSheet(QDialog):
             step.setText(f"{index + 1}  {look.steps[index]}")
             set_property(step, "role", "title" if index == look.step else "")
         self.form.setVisible(look.takes_piece)
+        self.form.show_pitch(look.shows_fingers)
         self._pictures.setVisible(look.shows_fingers)
         self.live.setText(look.live)
         self.progress.setVisible(look.running)
@@ -131,6 +134,7 @@ class CalibrateSheet(QDialog):
         self._show_values(look)
         if before is None or before.residuals != look.residuals:
             self.bars.show_residuals(look.residuals, look.limit, look.unit, look.kind)
+        self.bars.show_empty(look.empty)
         self._show_buttons(look)
 
     # -- inside -----------------------------------------------------------------------------------

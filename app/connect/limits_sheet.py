@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from PySide6.QtWidgets import (
+    QAbstractSpinBox,
     QDialog,
     QDoubleSpinBox,
     QGridLayout,
@@ -19,6 +20,7 @@ from app.connect.question import QuestionRow
 from widgets.number_inset import inset
 from widgets.panel import label, rule
 
+Arrows = QAbstractSpinBox.ButtonSymbols
 WIDEST = 2000.0
 COLUMNS = 2
 FINE = "N\N{MIDDLE DOT}m"
@@ -117,8 +119,9 @@ class LimitsSheet(QDialog):
 
     def _unlock(self, on: bool) -> None:
         for box in self.boxes.values():
+            # Not disabled: locked values are there to be read, in full contrast.
             box.setReadOnly(not on)
-            box.setEnabled(on)
+            box.setButtonSymbols(Arrows.UpDownArrows if on else Arrows.NoButtons)
         self.take.setEnabled(on)
         if not on:
             self.question.withdraw()

@@ -171,6 +171,23 @@ def test_an_expired_calibration_is_red_and_named(wizard, bench) -> None:
     assert sheet.conditions[0].property("tone") == "bad"
 
 
+def test_a_page_says_when_and_by_whom_it_was_measured_last(wizard, bench) -> None:
+    assert shown(wizard).bars.empty == "Measure first."
+    bench.calibrations.accept(GOOD, {}, "Ada", datetime(2020, 1, 1, 12, tzinfo=UTC))
+    wizard.panels.calibrate.open()
+    sheet = shown(wizard)
+    assert sheet.bars.empty == "Last measured 2020-01-01 12:00 UTC by Ada: 0.02 N."
+    assert "Ada" in sheet.bars.accessibleDescription()
+
+
+def test_only_the_cameras_ask_for_the_pitch_of_the_dots(wizard) -> None:
+    sheet = shown(wizard)
+    for what in ("board", "tool", "camera"):
+        sheet.choices[WHATS.index(what)].click()
+        assert sheet.form.bottom.isVisible()
+        assert sheet.form.pitch_mm.isVisible() == (what == "camera")
+
+
 def test_other_runs_leave_the_wizard_alone(wizard, bench) -> None:
     bench.tell_start()
     bench.hub.publish(Progress(0.0, 1, 2, "half"))

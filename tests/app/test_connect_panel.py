@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QAbstractSpinBox, QApplication
 
 from app.connect.banner import words_of
 from app.connect.limits import TITLES, rows_of, unit_of
@@ -198,7 +198,9 @@ def limits_sheet(main):
 def test_limits_are_locked_and_say_where_they_come_from(lab):
     sheet = limits_sheet(lab)
     assert sheet.source.text() == "From lab.toml."
-    assert not any(box.isEnabled() for box in sheet.boxes.values())
+    boxes = sheet.boxes.values()
+    assert all(box.isReadOnly() and box.isEnabled() for box in boxes), "locked, yet legible"
+    assert {box.buttonSymbols() for box in boxes} == {QAbstractSpinBox.ButtonSymbols.NoButtons}
     assert not sheet.take.isEnabled()
 
 

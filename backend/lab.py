@@ -79,7 +79,7 @@ def lab_session(
 
 def calibrations_of(lab: Lab) -> CalibrationStore:
     """Return the calibrations of a lab, beside its file or where that says."""
-    return CalibrationStore(lab.calibrations, lab.settings.kind, f"--bench {lab.path}")
+    return CalibrationStore(lab.calibrations, lab.settings.kind, f"--bench {lab.path} --home")
 
 
 def otherwise_named(lab: Lab) -> dict[str, str]:

@@ -57,7 +57,7 @@ def test_a_campaign_on_hardware_without_calibrations_connects_nothing(
     told = capsys.readouterr()
     assert "Payload: never calibrated on this bench." in told.err
     assert "where: CALIBRATION-MISSING" in told.err
-    command = f"Run 'touchdown calibrate payload --bench {lab} --accept'."
+    command = f"Run 'touchdown calibrate payload --bench {lab} --home --accept'."
     assert f"fix:   {command}" in " ".join(told.err.split("\n")).replace("  fix", "fix")
     assert "homing" not in told.out
     assert "force_torque" not in told.out

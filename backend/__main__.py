@@ -78,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _complain(words, f"{fault.what} {fault.consequence}", fault.code, fault.next_step)
         return FAILED
     except RefusedError as error:
-        fix = error.next_step or "Bring the bench into the named condition."
+        fix = error.next_step or "Put that right, then run the command again."
         _complain(words, error.what, error.reason, fix)
         return FAILED
     except TouchdownError as error:

@@ -35,6 +35,8 @@ from backend.verbs.connecting import (
     ask_on_a_thread,
     lab_bench,
     name_scene,
+    refuse_lab_arguments,
+    refuse_simulated_arguments,
 )
 from backend.verbs.ctrl_c import ctrl_c_cancels
 from backend.verbs.screen import Advance, Screen
@@ -88,6 +90,10 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     """
     if not args.pitch > 0:
         raise InputError("The pitch must be positive.", "--pitch", "Give it in mm, such as 1.9.")
+    if args.bench is not None and is_lab_file(Path(args.bench)):
+        refuse_simulated_arguments(args)
+    else:
+        refuse_lab_arguments(args)
     if args.what == "status":
         return _status(_store_of(args), screen)
     what: What = args.what

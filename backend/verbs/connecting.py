@@ -70,6 +70,13 @@ def refuse_lab_arguments(args: argparse.Namespace) -> None:
             raise InputError("Only devices need that.", flag, "Name a lab file with --bench.")
 
 
+def refuse_simulated_arguments(args: argparse.Namespace) -> None:
+    """Raise ``InputError`` where they are given with a lab file."""
+    for name in ("preset", "inject", "emulated"):
+        if getattr(args, name, None):
+            raise InputError("That is of the simulated bench.", f"--{name}", "Leave it out here.")
+
+
 def lab_choice(args: argparse.Namespace) -> LabChoice:
     """Return the lab of ``--bench``, for a campaign.
 
@@ -77,9 +84,7 @@ def lab_choice(args: argparse.Namespace) -> LabChoice:
     """
     from backend.lab import LabChoice
 
-    for name in ("preset", "inject", "emulated"):
-        if getattr(args, name, None):
-            raise InputError("That is of the simulated bench.", f"--{name}", "Leave it out here.")
+    refuse_simulated_arguments(args)
     pieces = Path(args.pieces) if args.pieces else None
     return LabChoice(Path(args.bench), pieces, campaign=True)
 

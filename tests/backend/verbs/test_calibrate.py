@@ -138,6 +138,20 @@ def test_status_of_another_simulated_bench_names_it(tmp_path, capsys) -> None:
     assert f"touchdown calibrate board --bench {bench} --pitch 2.0 --accept" in said
 
 
+@pytest.mark.parametrize(
+    ("at_lab", "flag"),
+    [(False, "--home"), (False, "--override=50"), (True, "--emulated"), (True, "--preset=quiet")],
+)
+@pytest.mark.parametrize("what", ["payload", "status"])
+def test_what_the_bench_has_no_use_for_is_refused_not_passed_over(
+    tmp_path, capsys, at_lab, flag, what
+) -> None:
+    lab = tmp_path / "lab.toml"
+    lab.write_text(LAB)
+    assert main(["calibrate", what, flag, *(["--bench", str(lab)] if at_lab else [])]) == 2
+    assert flag.split("=")[0] in capsys.readouterr().err
+
+
 def test_a_board_that_is_not_there_is_said_with_exit_code_1(tmp_path, capsys) -> None:
     bench = tmp_path / "bench.toml"
     # Few pictures: none of them matters here.

@@ -96,6 +96,7 @@ QAbstractSpinBox::up-arrow {{ image: url(icons:up-{name}.svg);
     width: {small_arrow}px; height: {small_arrow}px; }}
 QAbstractSpinBox::down-arrow {{ image: url(icons:down-{name}.svg);
     width: {small_arrow}px; height: {small_arrow}px; }}
+QAbstractSpinBox::up-arrow:off, QAbstractSpinBox::down-arrow:off {{ image: none; }}
 
 QAbstractSpinBox QLineEdit {{ border: none; padding: 0; background: transparent;
     min-height: 0; }}

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from PySide6.QtWidgets import (
-    QAbstractSpinBox,
     QDialog,
     QDoubleSpinBox,
     QGridLayout,
@@ -20,7 +19,6 @@ from app.connect.question import QuestionRow
 from widgets.number_inset import inset
 from widgets.panel import label, rule
 
-Arrows = QAbstractSpinBox.ButtonSymbols
 WIDEST = 2000.0
 COLUMNS = 2
 FINE = "N\N{MIDDLE DOT}m"
@@ -121,7 +119,6 @@ class LimitsSheet(QDialog):
         for box in self.boxes.values():
             # Not disabled: locked values are there to be read, in full contrast.
             box.setReadOnly(not on)
-            box.setButtonSymbols(Arrows.UpDownArrows if on else Arrows.NoButtons)
         self.take.setEnabled(on)
         if not on:
             self.question.withdraw()

@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from PySide6.QtWidgets import QAbstractSpinBox, QApplication
+from PySide6.QtWidgets import QApplication
 
 from app.connect.banner import words_of
 from app.connect.limits import TITLES, rows_of, unit_of
@@ -200,7 +200,6 @@ def test_limits_are_locked_and_say_where_they_come_from(lab):
     assert sheet.source.text() == "From lab.toml."
     boxes = sheet.boxes.values()
     assert all(box.isReadOnly() and box.isEnabled() for box in boxes), "locked, yet legible"
-    assert {box.buttonSymbols() for box in boxes} == {QAbstractSpinBox.ButtonSymbols.NoButtons}
     assert not sheet.take.isEnabled()
 
 

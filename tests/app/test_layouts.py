@@ -197,8 +197,11 @@ def test_the_palette_offers_the_layouts_of_the_page_in_front(live):
         (QRect(3000, 0, 2500, 1500), [SCREEN], QRect(0, 0, 1920, 1080)),
         (QRect(2000, 50, 1600, 900), [SCREEN, QRect(1920, 0, 1920, 1080)],
          QRect(2000, 50, 1600, 900)),
+        (QRect(0, 0, 1600, 940), [QRect(0, 0, 1280, 800)], QRect(0, 0, 1280, 800)),
+        (QRect(0, 0, 2600, 900), [SCREEN, QRect(1920, 0, 1920, 1080)], QRect(0, 0, 2600, 900)),
     ],
-    ids=["whole", "too far right", "nowhere", "title above", "too large", "second screen"],
+    ids=["whole", "too far right", "nowhere", "title above", "too large", "second screen",
+         "small screen", "over two screens"],
 )  # fmt: skip
 def test_a_window_is_pulled_back_to_where_it_can_be_taken_hold_of(window, screens, expected):
     assert pulled_back(window, screens) == expected

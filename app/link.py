@@ -22,7 +22,7 @@ from backend.objects.catalogue import Catalogue
 from backend.rig.connection import Connection
 from backend.runs.gate import Gate
 from backend.runs.hand import Hand
-from backend.runs.requests import Request, RunStatus
+from backend.runs.requests import Request, RunStatus, SceneChoice
 from backend.sensing.drift import Drift
 
 
@@ -48,6 +48,8 @@ class Link(Protocol):
     name: str
     """Name of the lab; "" for a simulated bench."""
     limits_source: str
+    usual: SceneChoice
+    """What is on the bench as far as nobody says otherwise: of a lab what its file says."""
     connection: Connection | None
     """How the devices are connected, where that is done by hand."""
     hub: Hub

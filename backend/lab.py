@@ -6,6 +6,7 @@ once all devices are ready.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -79,7 +80,8 @@ def lab_session(
 
 def calibrations_of(lab: Lab) -> CalibrationStore:
     """Return the calibrations of a lab, beside its file or where that says."""
-    return CalibrationStore(lab.calibrations, lab.settings.kind, f"--bench {lab.path} --home")
+    bench = f"--bench {shlex.quote(str(lab.path))} --home"
+    return CalibrationStore(lab.calibrations, lab.settings.kind, bench)
 
 
 def otherwise_named(lab: Lab) -> dict[str, str]:
@@ -124,7 +126,7 @@ class _LabBench:
 
     def wire(self, session: Session, *, any_gels: bool) -> Connection:
         """Make the drivers on the streams of ``session``; returns what connects them."""
-        raw, settings = session.raw, self._lab.settings
+        raw, settings, session.usual = session.raw, self._lab.settings, self._first
         self._wired = wired = WiredDevices(
             settings, self._clock.now_s, raw.frames, raw.samples, raw.poses, session.interlock
         )

@@ -94,7 +94,7 @@ class Session:
         self._make_stage, self._check, self.catalogue = make_stage, check, catalogue
         self._settings, self.facts = settings, facts
         self.simulated, self.name = facts.mode == "simulated", ""
-        self.limits_source = "the program itself"
+        self.limits_source, self.usual = "the program itself", SceneChoice()
         self.connection: Connection | None = None
         """Devices that outlive every scene (None: each scene has its own)."""
         self.hub, self.interlock, self.gate = Hub(), Interlock(), Gate()

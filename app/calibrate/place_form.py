@@ -24,9 +24,10 @@ REACH_MM = 200.0
 class PlaceForm(QWidget):
     """Fields of a ``CalibrateRequest``."""
 
-    def __init__(self, pieces: Sequence[str], bottoms: Sequence[str]) -> None:
+    def __init__(
+        self, pieces: Sequence[str], bottoms: Sequence[str], usual: CalibrateRequest
+    ) -> None:
         super().__init__()
-        usual = CalibrateRequest("board")
         self.piece, self.bottom = QComboBox(), QComboBox()
         for box, names, name in (
             (self.piece, pieces, usual.piece), (self.bottom, bottoms, usual.bottom),

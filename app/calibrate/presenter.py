@@ -5,6 +5,7 @@ from __future__ import annotations
 import getpass
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import cast
 
@@ -31,6 +32,7 @@ from backend.core.faults import InputError, RefusedError, StaleSampleError
 from backend.core.flow import FINGERS
 from backend.devices.protocols import Arm
 from backend.runs.calibrated import device_names, keep
+from backend.runs.requests import CalibrateRequest
 from backend.runs.words import hand_over
 from widgets.fault_cards import CardText, FaultCards
 from widgets.freshness import Age
@@ -73,13 +75,20 @@ class CalibratePresenter:
                 self._window,
                 self._theme,
                 [KINDS[what].title for what in WHATS],
-                PlaceForm(catalogue.tops, catalogue.bottoms),
+                PlaceForm(catalogue.tops, catalogue.bottoms, self._usual()),
                 Intents(self._choose, self._measure, self._link.engine.cancel, self._accept),
             )
         self._read_s = float("-inf")
         self.draw(at_once=True)
         self.sheet.show()
         self.sheet.raise_()
+
+    def _usual(self) -> CalibrateRequest:
+        """Return what the form begins with."""
+        usual, on_bench = CalibrateRequest("board"), self._link.usual
+        if self._link.simulated:
+            return usual
+        return replace(usual, piece=on_bench.piece, bottom=on_bench.bottoms[-1])
 
     def take(self, fact: Fact) -> None:
         """Follow a calibration, whoever began it."""

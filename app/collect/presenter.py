@@ -87,6 +87,8 @@ class CollectPresenter:
         """Take a bench; it collects into the dataset that is open."""
         self.link = link
         link.dataset = self.dataset
+        if not link.simulated:
+            self._show_pair(link.usual.piece, link.usual.bottoms[-1])
 
     def take_dataset(self, dataset: Dataset, *, read: bool) -> None:
         """Take the dataset that was opened; ``read`` what it holds of the pair, if it is seen.

@@ -18,7 +18,7 @@ from backend.core.facts import (
     RunStarted,
 )
 from backend.core.faults import InputError, RefusedError
-from backend.runs.requests import ProbeRequest, SceneChoice
+from backend.runs.requests import ProbeRequest
 from widgets.fault_cards import CardText, FaultCards
 from widgets.probe_panel import ProbePanel
 
@@ -32,7 +32,7 @@ class ProbePresenter:
         self._link, self._panel, self._cards = link, panel, cards
         self._mine = False
         self._felt: list[str] = []
-        self._piece, self._model = SceneChoice().piece, link.model
+        self._piece, self._model = link.usual.piece, link.model
         panel.values.setText(values_text(ProbeSettings()))
         self.show_model()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields, replace
 
+from backend.runs.requests import SceneChoice
 from widgets.run_panel import RunForm
 
 
@@ -20,8 +21,13 @@ def form_of(memory: Mapping[str, object]) -> tuple[RunForm, list[str]]:
     return RunForm(**known), dropped  # type: ignore[arg-type]
 
 
-def careful(form: RunForm) -> RunForm:
-    """Return the form for devices: asked before each move, and nothing let go untested."""
+def careful(form: RunForm, on_bench: SceneChoice) -> RunForm:
+    """Return the form for devices: asked before each move, and nothing let go untested.
+
+    It begins with what is ``on_bench``, whatever was filled in for another one.
+    """
     mode = "approve" if form.mode == "auto" else form.mode
     strategy = "paper" if form.strategy == "pick-and-place" else form.strategy
-    return replace(form, mode=mode, strategy=strategy)
+    *under, bottom = on_bench.bottoms
+    stands = replace(form, piece=on_bench.piece, bottom=bottom, under="".join(under[:1]))
+    return replace(stands, mode=mode, strategy=strategy)

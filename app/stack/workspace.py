@@ -86,7 +86,7 @@ class StackWorkspace(Workspace):
             [(name, shown.piece(name).title) for name in shown.bottoms],
         )
         page.run.show_devices(not link.simulated)
-        page.run.show_form(self._form if link.simulated else careful(self._form))
+        page.run.show_form(self._form if link.simulated else careful(self._form, link.usual))
         page.decision.show_text(NOTHING_YET)
         self.presenter.show_model()
         page.run.chosen.connect(self.presenter.show_model)

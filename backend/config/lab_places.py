@@ -56,6 +56,9 @@ def _places(settings: HardwareSettings) -> Iterator[tuple[str, bool]]:
     if settings.ft.driver not in ("melfa", "ur") or settings.ft.address:
         yield "ft.address", _is_here(settings.ft.address)
     gelsight = settings.gelsight
+    if gelsight.driver != "gelsight":
+        # Where cameras of other makes are, their drivers know.
+        return
     filmed = bool(gelsight.left.file and gelsight.right.file)
     yield "gelsight.by_id", filmed or not _is_device(Path(gelsight.by_id))
 

@@ -32,7 +32,7 @@ ACROSS: tuple[Side, Side] = ("+y", "-y")
 """The sides on which one finger feels more than the other."""
 ROUNDS, MOST_ROUNDS = 3, 10
 MOST = len(SIDES) + len(ACROSS) * (MOST_ROUNDS - 1)
-REST_S = 0.8
+REST_S, LOOKS = 0.8, 8
 DEPTH_MM, RAMP_S, HOLD_S, MEAN_S = 1.2, 0.8, 1.4, 0.4
 
 
@@ -46,8 +46,20 @@ def measure_cameras(bench: Bench, request: CalibrateRequest) -> Plan[Estimate]:
 
 
 def _gels_at_rest(bench: Bench) -> Plan[tuple[tuple[float, ...], str]]:
-    """Return the resting dots of both gels while the hand is still empty, or none and why."""
-    yield from rest(bench, REST_S)
+    """Return the resting dots of both gels while the hand is still empty, or none and why.
+
+    A dot that is not seen for a moment is waited for: without it the gels are not known again.
+    """
+    numbers, why = tuple[float, ...](), ""
+    for _ in range(LOOKS):
+        yield from rest(bench, REST_S)
+        numbers, why = _dots_at_rest(bench)
+        if numbers:
+            break
+    return numbers, why
+
+
+def _dots_at_rest(bench: Bench) -> tuple[tuple[float, ...], str]:
     now_s = bench.now_s()
     numbers: list[float] = []
     for finger in FINGERS:

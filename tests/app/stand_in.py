@@ -51,7 +51,7 @@ from backend.devices.protocols import (
 )
 from backend.objects.catalogue import load_catalogue
 from backend.runs.gate import Gate
-from backend.runs.requests import RunState, RunStatus
+from backend.runs.requests import RunState, RunStatus, SceneChoice
 from widgets.decision_panel import signed_mm
 
 ROWS, COLS = np.mgrid[0:7, 0:9]
@@ -111,8 +111,7 @@ class StandInBench:
     simulated = True
     facts = BenchFacts(mode="simulated")
     name, limits_source, connection = "", "the program itself", None
-    hand = model = None
-    dataset = None
+    usual, hand, model, dataset = SceneChoice(), None, None, None
     calibrations = None
     degraded = ()
     drift = None

@@ -14,6 +14,7 @@ from backend.core.faults import Fault, RefusedError
 from backend.devices.interlock import Limits
 from backend.devices.protocols import DeviceState, Identity
 from backend.rig.connection import Connection, DeviceLine
+from backend.runs.requests import SceneChoice
 from tests.app.conftest import settle
 from tests.backend.devices.waiting import until
 from tests.backend.rig.scripted import LINES, held, scripted
@@ -33,6 +34,7 @@ def lab(main, bench, devices):
     bench.connection, bench.name = Connection(devices), "Bench 2"
     bench.facts, bench.simulated = BenchFacts(mode="hardware"), False
     bench.limits_source, bench.left = "lab.toml", []
+    bench.usual = SceneChoice("barrel", ("long", "hex20"))
     bench.leave_scene = lambda: bench.left.append("scene")
     bench.home_gripper = lambda: bench.left.append("homed")
     main.attach(bench)
@@ -47,6 +49,17 @@ def shown(main):
 
 def wait(bench):
     until(lambda: not bench.connection.busy)
+
+
+def test_the_forms_begin_with_what_is_on_the_bench(lab):
+    """As the lab file has it, a tower with both of its bodies."""
+    run, target = lab.workspaces["stack"].page.run.form(), lab.workspaces["collect"].presenter
+    assert (run.piece, run.under, run.bottom) == ("barrel", "long", "hex20")
+    form = target._page.target.form()
+    assert (form.piece, form.bottom) == ("barrel", "hex20")
+    lab.panels.calibrate.open()
+    request = lab.panels.calibrate.sheet.form.request("board")
+    assert (request.piece, request.bottom) == ("barrel", "hex20")
 
 
 @pytest.mark.parametrize(

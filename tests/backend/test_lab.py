@@ -37,6 +37,7 @@ def test_it_is_called_by_its_name_and_knows_its_limits(session, tmp_path):
     assert list(session.devices) == list(LINES)
     assert {device.state for device in session.devices.values()} == {DeviceState.CLOSED}
     assert session.hand is None
+    assert (session.usual.piece, session.usual.bottoms) == ("mushroom", ("short",))
 
 
 @pytest.mark.parametrize("request_", [ProbeRequest(), SetRequest(SceneChoice()), StackRequest()])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -185,7 +186,10 @@ class ForceTorqueReader:
         try:
             link = self._open_link(language)
         except OSError as error:
-            raise FaultError(link_fault(f"The port cannot be opened: {error}.")) from error
+            # The text of some packages tells number and port twice.
+            why = os.strerror(error.errno) if error.errno else str(error)
+            port = f"port {self._settings.address}".rstrip()
+            raise FaultError(link_fault(f"The {port} cannot be opened: {why}.")) from error
         self.steps.reached("reach")
         try:
             self._greeting = language.start(link, cancel)

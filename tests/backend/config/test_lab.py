@@ -115,6 +115,12 @@ def test_no_real_device_is_called_emulated(tmp_path, given, real, key):
         load_lab(written(tmp_path, text.replace(given, real)))
 
 
+def test_where_cameras_of_other_makes_are_is_not_asked(tmp_path):
+    text = (HEAD.format(kind="emulated") + EMULATED).replace("/srv/bench/by-id", "/dev/v4l/by-id")
+    text = text.replace("[gelsight]", '[gelsight]\ndriver = "lerobot"')
+    assert load_lab(written(tmp_path, text)).settings.gelsight.driver == "lerobot"
+
+
 def test_a_folder_in_memory_is_no_device(tmp_path):
     """A folder for temporary files may be below /dev/shm."""
     for given, real in (("socket://127.0.0.1:4000", "/dev/shm/b/ft"), ("/srv/", "/dev/shm/")):

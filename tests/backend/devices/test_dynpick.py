@@ -156,7 +156,8 @@ def test_connecting_can_be_cancelled(driver):
 
 def test_a_port_that_is_not_there_is_a_fault():
     driver = make("/dev/no-such-port")
-    with pytest.raises(FaultError, match="cannot be opened"):
+    told = r"The port /dev/no-such-port cannot be opened: No such file or directory\."
+    with pytest.raises(FaultError, match=told):
         connect(driver)
 
 

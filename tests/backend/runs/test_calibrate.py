@@ -10,6 +10,7 @@ import pytest
 
 from backend.assembly import SimulatedBenchChoice, simulated_session
 from backend.calibration.estimate import Estimate
+from backend.calibration.gels import NUMBERS
 from backend.config.simulation import SimulationSettings
 from backend.core.facts import CalibrationMeasured, Said
 from backend.core.faults import FaultError, RefusedError
@@ -30,6 +31,7 @@ from backend.runs.descents import middle_of_overlap
 from backend.runs.jig import pick
 from backend.runs.motions import LEASE_TRIES, MOVE_S, REFERENCE_S, go, take_piece, zero_wrench
 from backend.runs.requests import CalibrateRequest
+from backend.sensing.reference import take_reference
 from backend.session import Keep
 from backend.simulation.disturbances import Disturbance, Script
 from tests.backend.runs.blind_bench import BRISK, BlindBench
@@ -257,6 +259,15 @@ def test_the_middle_of_an_overlap_is_its_centroid() -> None:
 def test_pressing_at_the_rim_tells_how_the_cameras_sit(monkeypatch) -> None:
     # A few pictures per second: every one of them is drawn and tracked. Each side is pressed once.
     monkeypatch.setattr(calibrate_pushes, "ROUNDS", 1)
+    looks = []
+
+    def taken(fields):
+        looks.append(fields)
+        if len(looks) <= 3:
+            raise RefusedError("MARKERS", "62 of 63 markers are seen.")
+        return take_reference(fields)
+
+    monkeypatch.setattr(calibrate_pushes, "take_reference", taken)
     settings = SimulationSettings.model_validate({"tactile": {"rate_hz": 8.0}})
     session = simulated_session(SimulatedBenchChoice(given=settings), keep=Keep(None), method=BRISK)
     session.interlock.limits = Limits(contact_speed_mm_s=4.0)
@@ -267,6 +278,10 @@ def test_pressing_at_the_rim_tells_how_the_cameras_sit(monkeypatch) -> None:
     (found,) = told
     assert found.acceptable
     assert "fit the settings" in found.note
+    # A dot that was not seen for a moment was waited for.
+    assert len(looks) == 5
+    assert "known again by their dots" in found.note
+    assert len(found.gels_px) == 2 * NUMBERS
     # The pictures are those of a real gel: 0.058 by 0.060 mm per px.
     scales = dict(zip(found.names, found.values, strict=True))
     for finger in ("left", "right"):

@@ -104,7 +104,7 @@ host = "127.0.0.1"
 driver = "dynpick"
 address = "socket://127.0.0.1:5000"
 [gelsight]
-by_id = "/tmp/by-id"
+by_id = "/srv/by-id"
 [gelsight.left]
 serial = "L"
 [gelsight.right]

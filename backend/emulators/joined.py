@@ -274,9 +274,13 @@ class JoinedWsg(EmulatedWsg):
             hand.open_to(motion.target_mm, motion.velocity_mm_s)
         elif self._in_hand and not hand.piece_present:
             self._in_hand, hand.piece_present = False, True
+        elif motion is None and not (self._held or hand.piece_present) and self._is_taken():
+            # It stands where it was put, or lies where it fell: the operator sets up once more.
+            self._world.set_up_again()
         return out
 
     def _is_taken(self) -> bool:
+        """Whether an operator is there, and has the piece in the hand when the jaws let it go."""
         world = self._world
         return world.scene.jig and world.clear_mm(world.drive.command_mm) > HAND_MM
 

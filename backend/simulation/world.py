@@ -192,6 +192,12 @@ class World:
         touch = self.scene.grip_height_mm if holding is None else holding.touch_height_mm
         return float(position_mm[2]) - touch
 
+    def set_up_again(self) -> None:
+        """Be as at the start, but for the hand: somebody put the bottom right and has the piece."""
+        self._bottoms, self.knocked_over = self.scene.bottoms, False
+        self._put_down = self._final = None
+        self.jaws.piece_present = True
+
     # -- inside -----------------------------------------------------------------------------------
 
     def _placed(self) -> tuple[tuple[float, float], float]:

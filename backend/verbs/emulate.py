@@ -78,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--jig",
         action="store_true",
-        help="of a bench: the piece in a jig beside the bottom, to calibrate and collect",
+        help="of a bench: with an operator, who has the piece in a jig and hands it over again",
     )
     parser.add_argument(
         "--for", type=float, dest="for_s", metavar="S", help="end after this time (default: Ctrl-C)"

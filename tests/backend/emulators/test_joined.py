@@ -128,6 +128,37 @@ def test_a_piece_let_go_high_over_a_bench_with_a_jig_is_in_the_operators_hand(ji
     assert (world.holding is not None) is again
 
 
+@pytest.mark.parametrize(("jig", "again"), [(True, True), (False, False)])
+def test_a_piece_that_was_put_down_is_handed_over_again_where_an_operator_is(jig, again):
+    """Else a rehearsal would end with the first trial."""
+    bench = Bench(jig=jig)
+    world = bench.joined.world
+    bench.held()
+
+    def go(height_mm):
+        place = np.array([2.0, 1.0, height_mm])
+        bench.joined.melfa.controller.joints.true_rad = bench.joined.frame.joints(place)
+        bench.pass_time(0.1)
+
+    touch_mm = world.holding.touch_height_mm
+    for height_mm in (touch_mm + 15.0, touch_mm - 0.1):
+        go(height_mm)
+    bench.order(wsg_binary.release(60.0, 50.0))
+    bench.pass_time(1.5)
+    assert world.holding is None
+    assert world.truth().stands is not None
+    bench.order(wsg_binary.grasp(0.0, 100.0))
+    bench.pass_time(1.0)
+    assert world.holding is None, "it stands below the jaws"
+    bench.order(wsg_binary.release(60.0, 50.0))
+    bench.pass_time(1.5)
+    go(touch_mm + 15.0)
+    bench.pass_time(0.5)
+    bench.order(wsg_binary.grasp(0.0, 100.0))
+    bench.pass_time(1.0)
+    assert (world.holding is not None) is again
+
+
 def test_the_world_goes_where_the_joints_are_and_a_descent_is_a_probe(bench):
     bench.held()
     world, touch_mm = bench.joined.world, bench.joined.world.holding.touch_height_mm

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from backend.assembly import SimulatedBenchChoice, make_scene
 from backend.config.hardware import HardwareSettings
@@ -171,11 +172,22 @@ def test_the_world_goes_where_the_joints_are_and_a_descent_is_a_probe(bench):
     assert world.holding.probe == 1
     assert world.holding.press_n > 1.0
     assert bench.felt_n() > -14.7 + world.holding.weight_g[2]
-    # The arm's own sensor feels the same, moments and all, in axes of its base.
     felt, told = bench.joined._felt[1][-1], bench.joined.melfa.controller.felt()
-    in_base = bench.joined.frame.in_base
     assert np.abs(felt[3:]).max() > 0.01
-    np.testing.assert_allclose(told, [*in_base(felt[:3]), *in_base(felt[3:])])
+    about_z = Rotation.from_euler("z", MELFA.yaw_deg, degrees=True)
+    np.testing.assert_allclose(told, about_z.apply(felt.reshape(2, 3)).ravel())
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 30.0, -110.0])
+def test_the_arms_own_sensor_feels_the_same_in_axes_of_its_base(bench, yaw_deg):
+    """Force and moments both; the bench stands turned by its yaw before the base."""
+    melfa = MELFA.model_copy(update={"yaw_deg": yaw_deg})
+    joined = JoinedScene(bench.joined.scene, melfa)
+    joined._felt = (0.0, np.array([[1.0, -2.0, 3.0, 0.1, 0.2, -0.3]]))
+    about_z = Rotation.from_euler("z", yaw_deg, degrees=True)
+    told = joined.melfa.controller.felt()
+    np.testing.assert_allclose(told[:3], about_z.apply([1.0, -2.0, 3.0]))
+    np.testing.assert_allclose(told[3:], about_z.apply([0.1, 0.2, -0.3]))
 
 
 def test_a_late_world_is_felt_late_and_not_otherwise(bench):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
@@ -12,8 +13,10 @@ from PySide6.QtWidgets import QFileDialog
 from app.calibrate.presenter import CalibratePresenter
 from app.connect.devices import DevicesPresenter
 from app.connect.presenter import ConnectPresenter
+from backend.calibration.record import DeviceName
 from backend.calibration.store import CalibrationStore
 from backend.config.bench_facts import BenchFacts
+from backend.config.lab import load_lab
 from backend.config.method import TrainingSettings
 from backend.core.facts import (
     CalibrationMeasured,
@@ -26,6 +29,7 @@ from backend.core.facts import (
 from backend.core.faults import Fault
 from backend.core.flow import Outcome
 from backend.devices.jog_axes import Room, axes_of
+from backend.lab import calibrations_of, otherwise_named
 from backend.learning.recorded import RecordedTraining, TrainingRequest
 from backend.rig.connection import Connection
 from backend.runs.attended import judged
@@ -34,6 +38,7 @@ from backend.runs.room import CONSEQUENCE, NEXT_STEP
 from tests.app.test_review_time import make_run
 from tests.app.tiny_packs import write_tiny_packs
 from tests.backend.rig.scripted import scripted
+from tests.backend.runs.test_calibrated import SEEN
 
 if TYPE_CHECKING:
     from tests.screens import Stage
@@ -249,15 +254,27 @@ def _report(stage: Stage, name: str, rows: tuple[int, ...]) -> Iterator[str]:
     reports.sheet.close()
 
 
-def sheets(stage: Stage, folder: Path) -> Iterator[str]:
-    """Connect panel, limits, calibration wizard."""
+def _exchanged(folder: Path) -> Path:
+    """Write a lab file, and a calibration that found its cameras at the other fingers."""
+    path = folder / "exchanged" / "lab.toml"
+    path.parent.mkdir(exist_ok=True)
+    template = Path(str(files("resources"))) / "benches" / "lab.toml"
+    path.write_text(template.read_text().replace("FILL-IN", "2D8Y-69G"))
+    lab = load_lab(path)
+    cameras = (("left", lab.settings.gelsight.right), ("right", lab.settings.gelsight.left))
+    who = {
+        f"tactile_{finger}": DeviceName(maker="GelSight", model="Mini", serial=camera.serial)
+        for finger, camera in cameras
+    }
+    calibrations_of(lab).accept(SEEN.told(0.0, "camera"), who)
+    return path
+
+
+def _connecting(stage: Stage, folder: Path) -> Iterator[str]:
     main, bench = stage.main, stage.bench
-    main.go("operate")
     devices, _ = scripted()
     devices["gripper"].fails_at = "configure"
     connection = Connection(devices)
-    bench.name, facts = "Bench 2", bench.facts
-    bench.facts = BenchFacts(mode="hardware")
     panel = ConnectPresenter(bench, connection, main.window, main.cards, main.panels.limits)
     panel.open()
     yield "connect-closed"
@@ -265,8 +282,22 @@ def sheets(stage: Stage, folder: Path) -> Iterator[str]:
     stage.until(lambda: not connection.busy)
     panel.draw(at_once=True)
     yield "connect-failed"
+    # With the real words: a lab file that has the cameras at the other fingers.
+    lab = load_lab(_exchanged(folder))
+    connection.notices = otherwise_named(lab)
+    panel.draw(at_once=True)
+    yield "connect-exchanged"
     panel.sheet.close()
     connection.close()
+
+
+def sheets(stage: Stage, folder: Path) -> Iterator[str]:
+    """Connect panel, limits, calibration wizard."""
+    main, bench = stage.main, stage.bench
+    main.go("operate")
+    bench.name, facts = "Bench 2", bench.facts
+    bench.facts = BenchFacts(mode="hardware")
+    yield from _connecting(stage, folder)
     yield from _devices(stage, folder / "lab.toml", "connect-devices")
     bench.name, bench.facts = "", facts
     main.actions.action("limits").trigger()

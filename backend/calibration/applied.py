@@ -127,16 +127,21 @@ def seen_by(settings: GelsightSettings, record: Record) -> GelsightSettings:
 def overruled(settings: GelsightSettings, record: Record, command: str) -> dict[str, str]:
     """Return, by device, at which finger the calibration has a camera and the settings do not.
 
-    The calibration counts: who moved the sensors since must hear of it. ``command`` measures anew.
+    The calibration counts: who moved the sensors since must hear of it. What to do is said with the
+    first; ``command`` measures anew.
     """
     sits, told = seen_by(settings, record), dict[str, str]()
     for finger in FINGERS:
         written, found = getattr(settings, finger).serial, getattr(sits, finger).serial
         if written and written != found:
+            advice = (
+                ". Exchange the two in the file; or, if the sensors have changed places since, run "
+                f"'{command}'"
+            )
             told[f"tactile_{finger}"] = (
                 f"The lab file names {written} for the {finger} finger, the calibration of "
-                f"{record.file.date:%Y-%m-%d} found {found} there, which counts. Exchange the two "
-                f"in the file; or, if the sensors have changed places since, run '{command}'"
+                f"{record.file.date:%Y-%m-%d} found {found} there, which counts"
+                f"{'' if told else advice}"
             )
     return told
 

@@ -38,7 +38,7 @@ ORDERS = {
 MOTIONS = ("HOME", "MOVE", "GRIP", "RELEASE")
 OTHERS = ("AUTOSEND", "SYSFLAGS", "GRIPSTATS", "FDATA")
 COMMANDS = frozenset({*READINGS, *SELVES, *KEPT, *ORDERS, *MOTIONS, *OTHERS})
-FLAGS = 32
+FLAGS, LONGEST_NAME = 32, 32
 STATISTICS = Request(Command.STATISTICS, (0,))
 _SPEED_MM_S = 50.0
 _RELEASE_MM = 10.0
@@ -219,7 +219,8 @@ class EmulatedGcl:
         if status == Status.SUCCESS:
             return Answer(good, name)
         text = Status(status).name.lower().replace("_", " ") if self._verbose else ""
-        return Failure(name, int(status), text)
+        # A name as long as a line would leave no room for the rest of the answer.
+        return Failure(name[:LONGEST_NAME], int(status), text)
 
 
 def _read(content: bytes) -> Line | Unread:

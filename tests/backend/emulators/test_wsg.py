@@ -127,6 +127,8 @@ def test_a_text_client_reads_what_the_manual_lists():
         (b"DANCE?", "ERR DANCE 14"),
         (b"DANCE=1", "ERR DANCE 14"),
         (b"DANCE now", "ERR DANCE 14"),
+        (b"D" * 250 + b"()", f"ERR {'D' * 32} 14"),
+        (b"D" * 256, f"ERR {'D' * 32} 14"),
     ],
 )
 def test_a_line_of_no_known_form_is_refused_by_its_name(line, answer):

@@ -140,7 +140,8 @@ def test_cameras_are_kept_as_they_sit_whatever_the_settings_were(tmp_path) -> No
     assert list(told) == ["tactile_left", "tactile_right"]
     assert "names AAAA-1111 for the left finger" in told["tactile_left"]
     assert "found BBBB-2222 there, which counts" in told["tactile_left"]
-    assert "run 'touchdown calibrate camera'" in told["tactile_right"]
+    assert "run 'touchdown calibrate camera'" in told["tactile_left"]
+    assert told["tactile_right"].endswith("found AAAA-1111 there, which counts")
     assert overruled(seen, record, "") == overruled(GelsightSettings(), record, "") == {}
     other = GelsightSettings.model_validate({"left": {"serial": "CCCC-3333"}})
     assert seen_by(other, record) == other

@@ -173,6 +173,19 @@ def test_limits_must_be_finite() -> None:
         Interlock(Limits(speed_mm_s=math.nan))
 
 
+def test_limits_change_between_motions_only() -> None:
+    interlock = Interlock()
+    before, lower = interlock.limits, Limits(probe_n=12.0, press_n=9.0)
+    interlock.renew_lease(5.0)
+    with pytest.raises(RefusedError, match="MOVING"):
+        interlock.change_limits(lower, 5.0 + LEASE_S)
+    assert interlock.limits is before
+    interlock.change_limits(lower, 5.0 + LEASE_S + 0.001)
+    assert interlock.limits is lower
+    with pytest.raises(ValueError, match="probe_n"):
+        interlock.change_limits(Limits(probe_n=math.inf), 9.0)
+
+
 def test_the_override_keeps_its_range_and_starts_at_full_speed() -> None:
     interlock = Interlock()
     assert interlock.override == 1.0

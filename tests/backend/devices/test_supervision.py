@@ -136,6 +136,22 @@ def test_the_trip_needs_two_samples_or_one_huge_one() -> None:
     assert huge.codes() == [("FT-TRIP", "force_torque")]
 
 
+def test_a_moment_trips_as_well_though_no_force_does() -> None:
+    """1.61 N·m from three parts below the limit of 1.5 N·m each; once is not enough."""
+    bench = Watched()
+    bench.run(1.5)
+    twisted = np.zeros((20, 6))
+    twisted[7, 3:] = (1.2, -1.0, 0.4)
+    bench.wrench.put(bench.now_s + 0.001 * np.arange(1, 21), twisted)
+    bench.supervision.check(bench.now_s + 0.02)
+    assert not bench.interlock.latched
+    twisted[8, 3:] = (-1.2, 1.0, 0.4)
+    bench.wrench.put(bench.now_s + 0.021 + 0.001 * np.arange(1, 21), twisted)
+    bench.supervision.check(bench.now_s + 0.05)
+    assert bench.codes() == [("FT-TRIP", "force_torque")]
+    assert "1.61 N·m" in bench.interlock.faults[0].what
+
+
 def test_a_sensor_is_degraded_before_it_is_a_fault_and_well_again_by_itself() -> None:
     bench = Watched()
     bench.run(2.0)

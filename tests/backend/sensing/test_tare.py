@@ -19,10 +19,11 @@ def air(seed: int, level: np.ndarray) -> np.ndarray:
 
 def test_payload_of_the_gripper_is_its_weight() -> None:
     assert PAYLOAD[2] == pytest.approx(-14.71, abs=0.005)
-    # 2 kg at 10 mm along x: the weight turns the sensor about +y (r x F = -x * Fz).
-    turned = gripper_payload(2.0, (10.0, 0.0, -50.0))
-    expected = np.cross([0.010, 0.0, -0.050], turned[:3])
+    # 2 kg at 10 mm along x and -4 mm along y turn the sensor about +y and +x (r x F).
+    turned = gripper_payload(2.0, (10.0, -4.0, -50.0))
+    expected = np.cross([0.010, -0.004, -0.050], turned[:3])
     np.testing.assert_allclose(turned[3:], expected, atol=1e-12)
+    np.testing.assert_allclose(turned[3:], (0.0785, 0.1961, 0.0), atol=1e-4)
 
 
 def test_tare_removes_payload_piece_and_offset() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from contextlib import suppress
 from pathlib import Path
@@ -167,3 +168,28 @@ def test_a_recording_is_no_step_of_undo(dataset: Dataset, record: Record) -> Non
     record()
     assert not dataset.labels.can_undo("cleo")
     assert dataset.labels.undo("cleo") is None
+
+
+@pytest.mark.parametrize("which", ["the one that leads", "the other one"])
+def test_an_undone_resolution_lets_the_label_lead_that_led_before(
+    tmp_path: Path, which: str
+) -> None:
+    with Dataset.open(tmp_path / "ours") as ours:
+        uuid = ours.record(
+            small_episode(), Label(1, -2, 0, 9), source="commanded", context=context_for(ours)
+        ).uuid
+    shutil.copytree(tmp_path / "ours", tmp_path / "theirs")
+    with Dataset.open(tmp_path / "ours") as ours, Dataset.open(tmp_path / "theirs") as theirs:
+        ours.labels.set("ann", uuid, Label(300, -400, 0, 9))
+        theirs.labels.set("bob", uuid, Label(-500, 700, 0, 9))
+        ours.merge("zoe", tmp_path / "theirs")
+        led = ours.labels.head(uuid)
+        leaves = ours.labels.conflicting(uuid)
+        (other,) = (leaf for leaf in leaves if leaf.rev_uuid != led.rev_uuid)
+        chosen = led if which == "the one that leads" else other
+        ours.labels.resolve("cleo", uuid, chosen.rev_uuid)
+        assert ours.labels.head(uuid).label == chosen.label
+        ours.labels.undo("cleo")
+        assert ours.labels.head(uuid).label == led.label
+        again = ours.labels.conflicting(uuid)
+        assert [leaf.label for leaf in again] == [leaf.label for leaf in leaves]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -163,3 +164,23 @@ def test_an_existing_run_is_never_written_over(tmp_path: Path) -> None:
     written(tmp_path / "run")
     with pytest.raises(FileExistsError):
         Journal(tmp_path / "run")
+
+
+def test_each_fact_is_on_the_disk_before_the_next_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At every sync of the file all lines so far are in it, and each line has a sync of its own."""
+    path, synced = tmp_path / "run" / NAME, []
+    fsync = os.fsync
+
+    def noted(handle: int) -> None:
+        if path.exists() and os.path.samestat(os.fstat(handle), path.stat()):
+            synced.append(path.read_bytes().count(b"\n"))
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    journal = Journal(tmp_path / "run")
+    for fact in ALL[:3]:
+        journal(fact)
+    assert synced == [1, 2, 3, 4]
+    journal.close()

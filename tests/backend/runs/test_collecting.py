@@ -1,0 +1,68 @@
+"""Where the probes of a campaign go seen from its origin, and what counts as done."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from backend.calibration.applied import NOWHERE
+from backend.config.method import StackSettings
+from backend.core.flow import Pose
+from backend.dataset.coverage import coverage
+from backend.objects.catalogue import load_catalogue
+from backend.objects.shapes import circle
+from backend.runs.campaign import Campaign
+from backend.runs.collected import Origin
+from backend.runs.collecting import Collector
+from backend.runs.gate import Decisions
+
+SEEN = coverage(np.empty((0, 2)), circle(15.0), circle(25.0))
+
+
+class Reached(Exception):  # noqa: N818
+    """The arm was told where to go, and that is all."""
+
+
+def collector(*entries: Any) -> Collector:
+    campaign = Campaign("c", "pot", "circle25", "random", 2, 5, skipped=(4,))
+    return Collector(campaign, None, Decisions(), SEEN, list(entries))  # type: ignore[arg-type]
+
+
+def test_a_probe_goes_to_its_displacement_from_the_origin() -> None:
+    ordered: list[Pose] = []
+
+    def move_to(place: Pose, speed_mm_s: float) -> None:
+        ordered.append(place)
+        raise Reached
+
+    bench: Any = SimpleNamespace(
+        settings=StackSettings(),
+        piece=load_catalogue().top("pot"),
+        placed=NOWHERE,
+        real_time=False,
+        arm=SimpleNamespace(move_to=move_to),
+    )
+    origin = Origin(10.0, -4.0, 0.1)
+    with pytest.raises(Reached):
+        list(collector()._probe(bench, 0, (1.5, -2.25), origin, 21.0))
+    above_mm = StackSettings().probe.start_height_mm
+    assert ordered == [Pose(11.5, -6.25, 21.0 + above_mm)]
+
+
+def test_what_was_deleted_or_rejected_is_neither_done_nor_left_out() -> None:
+    def entry(item: int, accepted: bool, deleted: bool) -> Any:
+        return SimpleNamespace(
+            plan_item=item, quality=SimpleNamespace(accepted=accepted), deleted=deleted
+        )
+
+    resumed = collector(
+        entry(0, accepted=True, deleted=False),
+        entry(1, accepted=True, deleted=True),
+        entry(2, accepted=False, deleted=False),
+        entry(3, accepted=True, deleted=False),
+    )
+    assert resumed.done == 2
+    assert list(resumed.todo) == [1, 2]

@@ -25,7 +25,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-import backend.learning.child
+from backend.learning import child
 from tests.leaks import leaks_since, snapshot
 from tests.warm import WarmStart
 
@@ -106,7 +106,7 @@ def warm_start(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
         like = SimpleNamespace(
             Popen=_warm.popen, PIPE=subprocess.PIPE, TimeoutExpired=subprocess.TimeoutExpired
         )
-        monkeypatch.setattr(backend.learning.child, "subprocess", like)
+        monkeypatch.setattr(child, "subprocess", like)
 
 
 @pytest.fixture(autouse=True)

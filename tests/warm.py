@@ -16,6 +16,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import IO, Any
 
@@ -94,7 +95,7 @@ class WarmChild:
 
 def serve(control: socket.socket) -> None:
     """Fork a training for each message; tell its pid, and its status when it has ended."""
-    import backend.learning.process  # noqa: F401 - loaded before there is anything to fork
+    import_module(MODULE)  # before there is anything to fork
 
     gc.collect()
     gc.freeze()

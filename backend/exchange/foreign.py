@@ -39,7 +39,7 @@ def read_foreign(
     ):
         child = subprocess.Popen(
             [*command, folder], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-            stderr=said, cwd=Path(__file__).parents[2],
+            stderr=said,
         )  # fmt: skip
         assert child.stdout is not None
         lines: queue.Queue[bytes] = queue.Queue()

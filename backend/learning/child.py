@@ -8,11 +8,9 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-import backend
 from backend.core.faults import Fault, FaultError, InputError
 from backend.learning.job import REPORT, Cancelled, Epoch, Finished, Loaded, Refused, TrainingJob
 
@@ -30,10 +28,7 @@ class TrainingProcess:
 
     def __init__(self, job: TrainingJob) -> None:
         self._complaints = tempfile.TemporaryFile()  # noqa: SIM115 - closed by close()
-        root = str(Path(backend.__file__).parent.parent)
-        paths = [root, os.environ.get("PYTHONPATH", "")]
-        path = {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
-        environment = IDLE_THREADS | os.environ | path
+        environment = IDLE_THREADS | os.environ
         self._child = subprocess.Popen(
             [sys.executable, "-m", "backend.learning.process"],
             stdin=subprocess.PIPE,

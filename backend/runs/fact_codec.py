@@ -18,24 +18,91 @@ from typing import Any
 
 import numpy as np
 
-from backend.core import facts
-from backend.core.facts import Fact
+from backend.core.facts import (
+    ActionChosen,
+    ApprovalAwaited,
+    BeliefUpdated,
+    CalibrationMeasured,
+    CampaignBegan,
+    DecisionAwaited,
+    EpisodeDecided,
+    EpisodeRecorded,
+    Fact,
+    FaultRaised,
+    FaultsReset,
+    Gripped,
+    HandOverAwaited,
+    MountingAwaited,
+    Noticed,
+    OriginChecked,
+    OutcomeAwaited,
+    PatchEstimated,
+    Paused,
+    PhaseEntered,
+    PhotoKept,
+    ProbeCollected,
+    Progress,
+    Refused,
+    Released,
+    RunFinished,
+    RunStarted,
+    Said,
+    SetUpAwaited,
+    StabilityJudged,
+    TrialFinished,
+    TrialStarted,
+)
 from backend.core.faults import InputError
 
 FORMAT = 1
+# The name of each event in a log: written to disk, so it stays when a class is renamed.
+_RECORDED: dict[str, type[Fact]] = {
+    "RunStarted": RunStarted,
+    "TrialStarted": TrialStarted,
+    "PhaseEntered": PhaseEntered,
+    "EpisodeRecorded": EpisodeRecorded,
+    "PatchEstimated": PatchEstimated,
+    "BeliefUpdated": BeliefUpdated,
+    "StabilityJudged": StabilityJudged,
+    "ActionChosen": ActionChosen,
+    "ApprovalAwaited": ApprovalAwaited,
+    "SetUpAwaited": SetUpAwaited,
+    "OutcomeAwaited": OutcomeAwaited,
+    "PhotoKept": PhotoKept,
+    "Released": Released,
+    "TrialFinished": TrialFinished,
+    "RunFinished": RunFinished,
+    "CampaignBegan": CampaignBegan,
+    "Gripped": Gripped,
+    "OriginChecked": OriginChecked,
+    "CalibrationMeasured": CalibrationMeasured,
+    "DecisionAwaited": DecisionAwaited,
+    "HandOverAwaited": HandOverAwaited,
+    "MountingAwaited": MountingAwaited,
+    "ProbeCollected": ProbeCollected,
+    "EpisodeDecided": EpisodeDecided,
+    "FaultRaised": FaultRaised,
+    "Paused": Paused,
+    "Noticed": Noticed,
+    "FaultsReset": FaultsReset,
+    "Progress": Progress,
+    "Said": Said,
+    "Refused": Refused,
+}
+_KIND_OF = {cls: kind for kind, cls in _RECORDED.items()}
 _DTYPES = {"float64", "float32", "bool", "uint8"}
 
 
 def encode(fact: Fact) -> dict[str, Any]:
     """Return ``fact`` as a JSON-ready dictionary with its kind."""
-    return {"kind": type(fact).__name__, **_fields(fact)}
+    return {"kind": _KIND_OF[type(fact)], **_fields(fact)}
 
 
 def decode(line: dict[str, Any], where: str) -> Fact:
     """Return the fact of a dictionary made by ``encode``; raises ``InputError``."""
     kind = line.get("kind")
-    cls = getattr(facts, kind, None) if isinstance(kind, str) else None
-    if not (isinstance(cls, type) and issubclass(cls, Fact)):
+    cls = _RECORDED.get(kind) if isinstance(kind, str) else None
+    if cls is None:
         raise InputError(f"Unknown fact {kind!r}.", where, "Use a newer Touchdown to replay it.")
     try:
         fact = _build(cls, line)

@@ -23,6 +23,7 @@ from backend.core.onset import OnsetRule
 from backend.objects.shapes import Outline
 from backend.objects.tower import Tower
 from backend.simulation import camera, nuisance
+from backend.simulation.camera import CameraDraw
 from backend.simulation.conditions import Conditions, true_offset_mm
 from backend.simulation.equilibrium import RESIDUAL_LIMIT
 from backend.simulation.gel import Gel, build_gel
@@ -114,7 +115,7 @@ class SensorNoise:
     phase_s: float
     force_n: FloatArray
     wrench: FloatArray
-    camera: camera.CameraDraw
+    camera: CameraDraw
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from PySide6.QtCore import QObject, Qt, QTimer
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
-import app.start
+from app import start
 from app.application import TouchdownApp
 from app.label.words import QUEUES as LISTED
 from backend.runs.store import data_folder
@@ -347,7 +347,7 @@ class Held(TouchdownApp):
 
 
 def main() -> int:
-    app.start.TouchdownApp = Held  # type: ignore[misc]
+    start.TouchdownApp = Held  # type: ignore[misc]
     from app.__main__ import main as run
 
     return run([])

@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-import app.start
+from app import start
 from app.__main__ import parser
 from tests.backend.brisk import brisk_method
 
@@ -28,7 +28,7 @@ INSIDE_PX = 12
 SPEAKING = QProgressBar | QAbstractButton | QAbstractSpinBox | QLabel | QLineEdit
 
 
-live_bench = app.start.live_bench
+live_bench = start.live_bench
 
 
 class Told:
@@ -83,17 +83,17 @@ def words_of(widget: QWidget):
 
 def main():
     told = Told()
-    app.start.live_bench = told.bench
+    start.live_bench = told.bench
     args = parser().parse_args()
-    made = app.start.TouchdownApp
+    made = start.TouchdownApp
 
     class TellingApp(made):
         def start(self):
             super().start()
             told.listen()
 
-    app.start.TouchdownApp = TellingApp
-    return app.start.run(args)
+    start.TouchdownApp = TellingApp
+    return start.run(args)
 
 
 if __name__ == "__main__":

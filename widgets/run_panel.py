@@ -26,9 +26,6 @@ from widgets.theme import Theme
 NOTHING = "nothing"
 STRATEGIES = (
     ("paper", "Probe and believe"),
-    ("outlines", "Believe in outlines"),
-    ("pressure", "Outlines and pressure"),
-    ("looking", "Look before moving"),
     ("fused", "Learned fusion"),
     ("zero-wrench", "Release at zero wrench"),
     ("pick-and-place", "Pick and place"),

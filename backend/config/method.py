@@ -23,13 +23,9 @@ TICK_S = 0.1
 """Distance of the ticks, 1 / 10 Hz [P]."""
 
 
-StrategyName = Literal[
-    "paper", "outlines", "pressure", "looking", "fused", "zero-wrench", "pick-and-place"
-]
-"""How a trial goes from a probe to its next move: the paper's way, whole outlines in place of
-single cells, outlines that must hold the centre of pressure too, the same looking for the press
-that decides most, a network that reads all probes at once, letting go where the push turns nothing,
-and letting go without a test."""
+StrategyName = Literal["paper", "fused", "zero-wrench", "pick-and-place"]
+"""How a trial goes from a probe to its next move: the paper's way, a network that reads all probes
+at once, letting go where the push turns nothing, and letting go without a test."""
 
 
 class Settings(BaseModel):
@@ -108,31 +104,6 @@ class PolicySettings(Settings):
     """What to do without confident support or when stalled [U]."""
     max_probes: Annotated[int, Field(ge=1)] = 8
     """Give up after this many probes [U]."""
-
-
-class OutlineSettings(Settings):
-    """Support as one displaced outline, and what has to be known before a release."""
-
-    weight: Annotated[float, Field(gt=0, le=1)] = 0.03
-    """Share of a map's log odds that counts: neighbouring cells err together [U]."""
-    pressure_sd_mm: Positive = 1.5
-    """Error of the measured centre of pressure, that of the grasp included [U]."""
-    risk: Probability = 0.05
-    """Release only where the piece would fall with less than this probability [U]."""
-    inset_mm: NonNegative = 1.0
-    """The centre of mass must lie this far within an outline to count as carried by it [U]."""
-
-
-class LookingSettings(Settings):
-    """What a press is worth before it is made."""
-
-    draws: Annotated[int, Field(ge=8)] = 128
-    """Outlines that are drawn from the belief."""
-    gain: NonNegative = 0.5
-    """Worth of one bit about standing at the target, against a sure release at the next press
-    [U]."""
-    way: NonNegative = 0.2
-    """Cost of each longest step that is left to the target afterwards [U]."""
 
 
 class ZeroWrenchSettings(Settings):
@@ -237,8 +208,6 @@ class StackSettings(Settings):
     belief: BeliefSettings = BeliefSettings()
     stability: StabilitySettings = StabilitySettings()
     policy: PolicySettings = PolicySettings()
-    outlines: OutlineSettings = OutlineSettings()
-    looking: LookingSettings = LookingSettings()
     zero_wrench: ZeroWrenchSettings = ZeroWrenchSettings()
     tower: TowerSettings = TowerSettings()
     fused: FusedSettings = FusedSettings()

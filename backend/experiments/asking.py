@@ -33,7 +33,7 @@ from backend.simulation.lockstep import Lockstep
 WORLDS: dict[str, type[Lockstep]] = {"bench": Lockstep, "elsewhere": Elsewhere}
 PRESSES_SEED, TRIALS_SEED = 5_000_000, 6_000_000
 GROUPS_A_JOB, PROBES, TRIALS_A_JOB = 10, 3, 2
-STRATEGIES = ("paper", "outlines", "pressure", "fused", "zero-wrench")
+STRATEGIES = ("paper", "fused", "zero-wrench")
 """What can be asked; the last two read no model of a piece."""
 SLIPPED_MM = 0.02
 """A pad that moved by more than this in one press has slipped."""

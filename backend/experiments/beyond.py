@@ -40,11 +40,11 @@ from backend.jobs.spec import JobSpec
 from backend.jobs.store import JobStore
 from backend.learning.device import one_thread
 from backend.objects.catalogue import load_catalogue
+from backend.objects.shapes import inset_mm
 from backend.objects.surface import face_points
 from backend.objects.tower import Tower, judge
 from backend.placement.below import Below
 from backend.placement.fused import network_of
-from backend.placement.outline_family import inset_mm
 from backend.placement.strategies import begin
 from backend.placement.strategy import XY, Reasoner
 from backend.sensing.episode import EpisodeLimits
@@ -80,7 +80,7 @@ class Beyond:
     models: Mapping[str, str]
     pieces: tuple[str, ...] = ("pot",)
     bottoms: tuple[str, ...] = ("short", "long")
-    strategies: tuple[str, ...] = ("paper", "outlines", "pressure", "ceiling")
+    strategies: tuple[str, ...] = ("paper", "fused", "ceiling")
     trials: int = 50
     entry_sigma_mm: float | None = 1.0
     """How well the simulated operator measures where the upper bottom stands; None: no entry, and

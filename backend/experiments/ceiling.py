@@ -20,7 +20,7 @@ from backend.core.flow import (
     SupportKind,
 )
 from backend.experiments.worlds import TILT_X, Setting, Worlds, diameters_mm, draw_worlds, feel
-from backend.placement.outline_family import inset_mm
+from backend.objects.shapes import inset_mm
 from backend.placement.policy import Aim, give_up, situation, towards
 from backend.placement.strategy import XY, Conclusion, Touched
 from backend.simulation.episodes import gel_of

@@ -36,7 +36,7 @@ class Both:
     piece: str
     models: Mapping[str, str]
     bottoms: tuple[str, ...] = ("short", "long")
-    strategies: tuple[str, ...] = ("paper", "outlines", "pressure")
+    strategies: tuple[str, ...] = ("paper", "fused")
     groups: int = 40
     trials: int = 20
     trained: tuple[RandomisedTraining, ...] = ()

@@ -26,9 +26,8 @@ from backend.jobs.running import Workplace
 from backend.jobs.spec import JobSpec
 from backend.learning.device import one_thread
 from backend.objects.catalogue import load_catalogue
-from backend.objects.shapes import Outline, circle, rectangle, square
+from backend.objects.shapes import Outline, circle, inset_mm, rectangle, square
 from backend.placement.fused import FusedReasoner
-from backend.placement.outline_family import inset_mm
 from backend.placement.strategy import XY, Conclusion, Held, Touched
 from backend.sensing.episode import EpisodeLimits
 from backend.simulation.scene import Scene

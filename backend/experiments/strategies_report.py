@@ -18,9 +18,6 @@ Cells = dict[tuple[str, str], dict[str, Json]]
 PAPER = "paper"
 TITLES = {
     PAPER: "Paper's",
-    "outlines": "Outlines",
-    "pressure": "Outlines and pressure",
-    "looking": "Looking",
     "fused": "Learned fusion",
     "zero-wrench": "Zero wrench",
     "ceiling": "Ceiling",

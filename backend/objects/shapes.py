@@ -102,6 +102,18 @@ def edge_normals(polygon_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
     return polygon_mm, normal / np.where(length > 0.0, length, 1.0)
 
 
+def inset_mm(outline: Outline, points_mm: FloatArray) -> FloatArray:
+    """Return (...,) how far points (..., 2) lie within the outline; negative outside.
+
+    The distance to the nearest edge; beside a corner that to the farther of its lines.
+    """
+    if outline.kind == "circle":
+        return np.asarray(outline.radius_mm - np.hypot(points_mm[..., 0], points_mm[..., 1]))
+    start, outward = edge_normals(outline.polygon())
+    reach = (start * outward).sum(axis=1)
+    return np.asarray((reach - points_mm @ outward.T).min(axis=-1), dtype=np.float64)
+
+
 def circle(diameter_mm: float) -> Outline:
     """Return a circle; raises ValueError unless the diameter is positive and finite."""
     if not 0.0 < diameter_mm < float("inf"):

@@ -11,6 +11,9 @@ from backend.placement.hull import convex_hull, signed_margin_mm
 
 LEAST_PRESS_N = 0.5
 """Below this press force the quotient is noise (F/T offset 0.2 N): no centre is returned."""
+FIRST_TICK, LAST_TICKS = 0, slice(-4, None)
+LEAST_RISE_N = 2.0
+"""A press that gains less than this says nothing of where it acts."""
 
 
 def centre_of_pressure_mm(
@@ -32,6 +35,17 @@ def centre_of_pressure_mm(
     x = -(ty_nmm + lever_mm * fx) / press
     y = (tx_nmm - lever_mm * fy) / press
     return np.stack((x, y), axis=-1)
+
+
+def pressed_at_mm(wrench: FloatArray, lever_mm: float) -> FloatArray:
+    """Return (2,) where a press acted, in ``F``: the centre of pressure without slow sensor errors.
+
+    ``wrench`` (20, 6) in N and N·m at the sensor, ``lever_mm`` above the face. The offset left by
+    the tare (several mm of centre) is the same at all ticks: the growth from the first tick, when
+    hardly anything presses, to the last ones does not contain it. NaN where the press hardly grows.
+    """
+    growth = wrench[LAST_TICKS].mean(axis=0) - wrench[FIRST_TICK]
+    return centre_of_pressure_mm(growth, lever_mm, LEAST_RISE_N)
 
 
 def outside_patch_mm(points_mm: FloatArray, centre_mm: FloatArray) -> float:

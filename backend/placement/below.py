@@ -18,8 +18,8 @@ from backend.config.method import TowerSettings
 from backend.core.faults import InputError
 from backend.core.flow import FloatArray
 from backend.objects.catalogue import Piece
+from backend.objects.shapes import inset_mm
 from backend.objects.tower import Body
-from backend.placement.outline_family import inset_mm
 
 XY = tuple[float, float]
 DRAWS = 13

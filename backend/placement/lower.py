@@ -13,9 +13,8 @@ import numpy as np
 
 from backend.core.flow import FloatArray
 from backend.learning.fused.forward import Inset
-from backend.objects.shapes import Outline, circle
+from backend.objects.shapes import Outline, circle, inset_mm
 from backend.placement.below import Below, normal_draws
-from backend.placement.outline_family import inset_mm
 
 XY = tuple[float, float]
 AROUND_MM = 10.0

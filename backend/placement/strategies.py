@@ -5,7 +5,6 @@ from __future__ import annotations
 from backend.config.method import StackSettings
 from backend.core.faults import InputError
 from backend.placement.fused import FusedReasoner
-from backend.placement.outlines import OutlineReasoner
 from backend.placement.strategy import XY, Held, PaperReasoner, Reasoner
 from backend.placement.zero_wrench import ZeroWrenchReasoner
 
@@ -15,18 +14,10 @@ def begin(held: Held, settings: StackSettings, origin_mm: XY) -> Reasoner:
 
     Raises ``InputError`` for a strategy that concludes nothing from probes.
     """
-    if settings.strategy == "paper":
-        return PaperReasoner(held, settings, origin_mm)
     if settings.strategy == "fused":
         return FusedReasoner(held, settings, origin_mm)
     if settings.strategy == "zero-wrench":
         return ZeroWrenchReasoner(held, settings, origin_mm)
     if settings.strategy == "pick-and-place":
         raise InputError("This strategy does not probe.", "strategy", "Choose another one.")
-    return OutlineReasoner(
-        held,
-        settings,
-        origin_mm,
-        pressure=settings.strategy in ("pressure", "looking"),
-        looking=settings.strategy == "looking",
-    )
+    return PaperReasoner(held, settings, origin_mm)

@@ -13,8 +13,8 @@ import numpy as np
 
 from backend.config.method import StackSettings
 from backend.core.flow import TACTILE_CHANNELS, ContactPatch, PlaceAction, Stability, SupportKind
+from backend.placement.balance import pressed_at_mm
 from backend.placement.belief import Belief
-from backend.placement.outlines import pressed_at_mm
 from backend.placement.policy import Aim, give_up, situation, towards
 from backend.placement.strategy import XY, Conclusion, Held, Touched
 from backend.placement.targets import next_on_spiral

@@ -98,8 +98,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
     beyond = parser.add_argument_group("beyond")
-    beyond.add_argument("--strategies", default="paper,outlines,pressure", help="or looking, "
-                        "fused, zero-wrench, ceiling, ceiling-diameter, pick-and-place "
+    beyond.add_argument("--strategies", default="paper,fused", help="or "
+                        "zero-wrench, ceiling, ceiling-diameter, pick-and-place "
                         "(default: %(default)s)")  # fmt: skip
     beyond.add_argument("--bottoms", default="short,long", help="or hex20, rect12x28, and towers "
                         "short+long, short+hex20, short+rect12x28 "

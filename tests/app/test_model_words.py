@@ -31,7 +31,7 @@ def test_the_words_follow_what_is_in_use(mine):
     assert model_words("pot", "paper").short.startswith("shipped, IoU ")
     assert "12,000 probes" in model_words("pot", "paper").full
     Registry(models_folder()).promote(model)
-    own = model_words("pot", "outlines")
+    own = model_words("pot", "paper")
     assert own.short == f"yours {card.weights_sha256[:8]}, IoU 40 %, 20 probes"
     assert "promoted in Train" in own.full
     assert model_words("barrel", "paper").short.startswith("shipped")

@@ -68,13 +68,13 @@ def test_what_is_missing_is_run_one_after_the_other(live, bench, comparing):
 def test_any_strategy_can_stand_on_the_right_and_keeps_its_answer(live, bench, comparing):
     sheet, (left, right) = comparing.sheet, comparing.sheet.panels
     run(bench, PAPER, Outcome.PLACED, 1.6)
-    run(bench, "pressure", Outcome.PLACED, 1.1)
+    run(bench, "fused", Outcome.PLACED, 1.1)
     settle(live)
     names = {sheet.against.itemData(at) for at in range(sheet.against.count())}
-    assert {"outlines", "pressure", BLIND} <= names
+    assert {"zero-wrench", "fused", BLIND} <= names
     assert PAPER not in names
-    for name, count, runs in (("pressure", "1 of 1 placed", "Run both again"),
-                              ("outlines", "Not run yet", "Run the other one")):  # fmt: skip
+    for name, count, runs in (("fused", "1 of 1 placed", "Run both again"),
+                              ("zero-wrench", "Not run yet", "Run the other one")):  # fmt: skip
         at = sheet.against.findData(name)
         sheet.against.setCurrentIndex(at)
         sheet.against.activated.emit(at)
@@ -83,7 +83,7 @@ def test_any_strategy_can_stand_on_the_right_and_keeps_its_answer(live, bench, c
         assert left.count.text() == "1 of 1 placed"
         assert sheet.run.text() == runs
     sheet.run.click()
-    assert [request.strategy for request in bench.started] == ["outlines"]
+    assert [request.strategy for request in bench.started] == ["zero-wrench"]
     settle(live)
     assert not sheet.against.isEnabled()
 
@@ -95,7 +95,7 @@ def test_devices_let_nothing_go_untested(live, bench):
     sheet = live.workspaces["stack"].comparison.sheet
     assert sheet.against.findData(BLIND) == -1
     assert sheet.against.currentData() == live.workspaces["stack"].comparison._pair[1] != BLIND
-    assert sheet.against.findData("outlines") >= 0
+    assert sheet.against.findData("zero-wrench") >= 0
     sheet.close()
 
 

@@ -163,7 +163,7 @@ def test_a_tower_and_groups_from_end_to_end(bench_v1: SimulationSettings, store:
     models = adopt_models(store, *models_that_ship("bench-v1"))
     source = {"pot": models["pot", "FT+Tac"]}
     loops = Beyond(bench_v1, "1", source, bottoms=("short+long",), strategies=("fused",), trials=1)
-    said = Promises(bench_v1, "1", source, ("pot",), ("long",), ("outlines",), 2)
+    said = Promises(bench_v1, "1", source, ("pot",), ("long",), ("paper",), 2)
     plan = Compared(loops, said)
     for job in plan.jobs():
         assert run_job(job, {"beyond": beyond, "promises": promises}, store).state == "done"

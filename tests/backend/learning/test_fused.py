@@ -37,9 +37,8 @@ from backend.learning.fused.training import (
     sequences,
 )
 from backend.objects.catalogue import load_catalogue
-from backend.objects.shapes import circle, rectangle
+from backend.objects.shapes import circle, inset_mm, rectangle
 from backend.objects.surface import face_points
-from backend.placement.outline_family import inset_mm
 from backend.simulation.gel import build_gel
 from backend.simulation.mechanics import Carried
 

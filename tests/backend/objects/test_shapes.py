@@ -62,6 +62,14 @@ def test_placed_turns_then_moves() -> None:
     assert corners == pytest.approx(np.array([[11, 3], [11, 7], [9, 7], [9, 3]]))
 
 
+def test_the_inset_is_the_distance_to_the_edge() -> None:
+    points = np.array([[0.0, 0.0], [3.0, 0.0], [12.0, 0.0]])
+    assert shapes.inset_mm(shapes.circle(20.0), points) == pytest.approx([10.0, 7.0, -2.0])
+    hexagon = shapes.regular(6, 20.0)
+    expected = [10.0 * math.cos(math.pi / 6)]
+    assert shapes.inset_mm(hexagon, np.zeros((1, 2))) == pytest.approx(expected)
+
+
 def test_outlines_are_values() -> None:
     assert shapes.circle(15.0) == shapes.circle(15.0)
     assert hash(shapes.square(15.0)) == hash(shapes.rectangle(15.0, 15.0))

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from backend.placement.balance import centre_of_pressure_mm, outside_patch_mm
+from backend.core.flow import FloatArray
+from backend.placement.balance import centre_of_pressure_mm, outside_patch_mm, pressed_at_mm
 
 # Bench reference, table of section 3.8 (mushroom on circle15): Fx Fy Fz in N, Tx Ty in N·m at the
 # wrist, and the centre of pressure in mm. Grip height 33 mm, sensor 120 mm above the pivot.
@@ -57,3 +58,22 @@ def test_centre_outside_the_patch_is_measured() -> None:
     assert outside_patch_mm(square, np.array([7.0, 8.0])) == pytest.approx(5.0)
     assert outside_patch_mm(np.zeros((0, 2)), np.array([0.0, 0.0])) == math.inf
     assert math.isnan(outside_patch_mm(square, np.array([math.nan, 0.0])))
+
+
+def press(at_mm: tuple[float, float], offset: FloatArray | float = 0.0) -> FloatArray:
+    """Wrench (20, 6) at a sensor 150 mm above the face: a force growing at ``at_mm`` of the face,
+    with a lateral part; ``offset`` (6,) is what the tare left.
+    """
+    fz = np.linspace(0.4, 8.0, 20)
+    fx, fy = 0.1 * fz, -0.05 * fz
+    x, y = at_mm
+    tx, ty = y * fz + 150.0 * fy, -x * fz - 150.0 * fx
+    zero = np.zeros_like(fz)
+    return np.stack([fx, fy, fz, 1e-3 * tx, 1e-3 * ty, zero], axis=1) + offset
+
+
+def test_what_the_tare_left_does_not_move_the_centre_of_pressure() -> None:
+    left = np.array([0.4, -0.4, 0.3, 0.02, -0.03, 0.0])
+    assert pressed_at_mm(press((-3.0, 2.0)), 150.0) == pytest.approx([-3.0, 2.0], abs=1e-9)
+    assert pressed_at_mm(press((-3.0, 2.0), left), 150.0) == pytest.approx([-3.0, 2.0], abs=1e-9)
+    assert np.isnan(pressed_at_mm(0.2 * press((0.0, 0.0)), 150.0)).all()

@@ -11,11 +11,10 @@ from backend.config.method import TowerSettings
 from backend.core.flow import FloatArray
 from backend.learning.fused.forward import Inset
 from backend.objects.catalogue import Catalogue, load_catalogue
-from backend.objects.shapes import Outline, circle, rectangle
+from backend.objects.shapes import Outline, circle, inset_mm, rectangle
 from backend.objects.tower import Body, Tower, judge
 from backend.placement.below import Below
 from backend.placement.lower import Lower, Middle, disc_of, holding, middle_of
-from backend.placement.outline_family import inset_mm
 
 EXACT = 1e-6
 STEPS = np.arange(-13.0, 14.0)

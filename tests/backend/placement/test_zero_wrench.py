@@ -1,0 +1,61 @@
+"""The strategy that lets go where the push turns nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from backend.config.method import BeliefSettings, StackSettings
+from backend.core.faults import InputError
+from backend.core.flow import ContactPatch
+from backend.objects.shapes import circle
+from backend.objects.surface import face_points
+from backend.placement.strategies import begin
+from backend.placement.strategy import Conclusion, Held, Touched
+
+FACE = face_points(circle(15.0))
+
+
+def press(at_mm: tuple[float, float], rise_n: float = 7.6) -> np.ndarray:
+    """Observation of a force growing by ``rise_n`` at ``at_mm``, sensor 150 mm above the face."""
+    fz = np.linspace(0.4, 0.4 + rise_n, 20)
+    x, y = at_mm
+    seen = np.zeros((20, 258), np.float32)
+    seen[:, -6:] = np.stack([0 * fz, 0 * fz, fz, 1e-3 * y * fz, -1e-3 * x * fz, 0 * fz], axis=1)
+    return seen
+
+
+def zero_wrench(*presses: np.ndarray) -> tuple[Conclusion, bool]:
+    settings = StackSettings(belief=BeliefSettings(half_extent_mm=16.0), strategy="zero-wrench")
+    reasoner = begin(Held((0.0, 0.0), 30.0, sensor_height_mm=120.0), settings, (0.0, 0.0))
+    patch = ContactPatch(FACE.copy(), np.full(len(FACE), 0.9))
+    for seen in presses:
+        concluded = reasoner.conclude(Touched(seen, patch, (0.0, 0.0)))
+    return concluded, reasoner.stable_at((0.0, 0.0))
+
+
+def test_zero_wrench_lets_go_where_the_push_turns_nothing_and_follows_it_otherwise() -> None:
+    under, stable = zero_wrench(press((0.3, -0.4)))
+    assert (under.action.kind, stable) == ("release", True)
+    beside, stable = zero_wrench(press((-5.0, 0.0)))
+    assert (beside.action.kind, stable) == ("shift", False)
+    assert beside.action.step_mm == pytest.approx((-3.0, 0.0), abs=1e-3)
+    assert beside.stability.margin_mm == pytest.approx(-5.0, abs=1e-3)
+    assert not under.map.log_odds.any()
+
+
+def test_zero_wrench_needs_a_push_and_gives_up_in_the_end() -> None:
+    faint, stable = zero_wrench(press((0.0, 0.0), rise_n=1.0))
+    assert (faint.action.kind, stable) == ("shift", False)
+    last, _ = zero_wrench(*[press((5.0, 0.0))] * 8)
+    assert last.action.kind == "give_up"
+
+
+def test_without_the_height_of_the_sensor_no_moment_can_be_read() -> None:
+    with pytest.raises(InputError, match="height of the wrist sensor"):
+        begin(Held((0.0, 0.0), 30.0), StackSettings(strategy="zero-wrench"), (0.0, 0.0))
+
+
+def test_letting_go_untested_concludes_nothing() -> None:
+    with pytest.raises(InputError, match="does not probe"):
+        begin(Held((0.0, 0.0), 30.0), StackSettings(strategy="pick-and-place"), (0.0, 0.0))

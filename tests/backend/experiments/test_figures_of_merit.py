@@ -32,6 +32,18 @@ def test_the_interval_of_a_mean_covers_it_as_often_as_promised() -> None:
     assert 0.91 <= held / 400 <= 0.98
 
 
+@pytest.mark.parametrize(
+    ("values", "half"),
+    # 1.96 s / sqrt(n) with s of n - 1 degrees of freedom: 0.1414 of two, 0.2 of three.
+    [((0.4, 0.6), 0.1960), ((0.3, 0.5, 0.7), 0.2263), ((0.5,), 0.5)],
+)
+def test_the_interval_of_few_values_by_hand(values: tuple[float, ...], half: float) -> None:
+    found = mean(values)
+    assert (found.value, found.n) == (pytest.approx(0.5), len(values))
+    assert found.low == pytest.approx(0.5 - half, abs=1e-4)
+    assert found.high == pytest.approx(0.5 + half, abs=1e-4)
+
+
 def test_counts_of_a_yes_or_no_answer() -> None:
     said = [True, True, True, False, False, False, False]
     true = [True, True, False, True, False, False, False]

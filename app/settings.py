@@ -50,7 +50,7 @@ def load_settings(path: Path) -> tuple[WindowSettings, str]:
         return WindowSettings(), ""
     except (OSError, ValueError) as error:
         return WindowSettings(), f"The window settings could not be read ({error}): defaults."
-    if not isinstance(raw, dict) or raw.get("version") not in (1, VERSION):
+    if not isinstance(raw, dict) or raw.get("version") != VERSION:
         return WindowSettings(), "The window settings are of another version: defaults are used."
     dropped: list[str] = []
     settings = WindowSettings(
@@ -114,8 +114,7 @@ def _keys(raw: object, dropped: list[str]) -> dict[str, str]:
 
 
 def _pages(raw: Json, dropped: list[str]) -> dict[str, Json]:
-    # Version 1 knew one workspace, and kept its form on the top level.
-    pages = raw.get("pages", {"stack": raw.get("form", {})})
+    pages = raw.get("pages", {})
     if not isinstance(pages, dict):
         dropped.append("pages")
         return {}

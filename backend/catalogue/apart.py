@@ -10,9 +10,6 @@ from backend.catalogue.operations import REVISION, Draft, as_revision
 from backend.catalogue.uuid7 import uuid7
 from backend.catalogue.values import NO_LABEL, Operation, Revision, Step
 
-SINCE_SCHEMA = 4
-"""A catalogue of an older schema that is only read has no such steps."""
-
 _STEPS = (
     f"SELECT {REVISION}, r.copy_of, r.deleted, r.skipped, r.shown_ns, r.beside"  # noqa: S608
     " FROM apart r JOIN op o USING (op_uuid) WHERE o.actor = ?"

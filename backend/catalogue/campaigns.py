@@ -35,8 +35,6 @@ def items_deleted(database: Database, campaign: str, reason: str) -> set[int]:
 
 
 def list_campaigns(database: Database) -> list[CampaignEntry]:
-    """Return the campaigns that have episodes, the newest last; none in an older catalogue."""
-    if database.schema_version < 2:
-        return []
+    """Return the campaigns that have episodes, the newest last."""
     sql = "SELECT uuid, piece, bottom, began_ns, last_ns, episodes, done FROM campaign"
     return [CampaignEntry(*row) for row in database.rows(f"{sql} ORDER BY began_ns")]

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from backend.catalogue.chain import canonical
-from backend.catalogue.migration import migrate
 from backend.catalogue.schema import APPLICATION_ID, SCHEMA_VERSION, statements
 from backend.core.doing import SharedLock
 from backend.core.faults import Fault, FaultError, InputError, RefusedError
@@ -27,21 +26,19 @@ Row = tuple[Any, ...]
 class Database:
     """Rows of one catalogue, shared by threads: every call takes the lock for its own length.
 
-    Commits are durable when ``transaction`` ends (WAL, synchronous FULL). ``migrated_from``: the
-    schema that opening found and brought to the present one, or 0.
+    Commits are durable when ``transaction`` ends (WAL, synchronous FULL).
     """
 
     def __init__(self, connection: sqlite3.Connection, path: Path, *, writable: bool) -> None:
         self._connection, self.path, self.writable = connection, path, writable
-        self.migrated_from = 0
         self._lock = SharedLock()
 
     @classmethod
     def open(cls, path: Path, *, write: bool) -> Database:
-        """Open or (to write) make the catalogue ``path``; an older one is brought up to date.
+        """Open or (to write) make the catalogue ``path``.
 
         A catalogue of a newer program opens for reading only (``writable`` is False). Raises
-        ``InputError`` for a file that is no catalogue, or is not there.
+        ``InputError`` for a file that is no catalogue, is of an older schema, or is not there.
         """
         if not write and not path.is_file():
             raise InputError("There is no catalogue.", str(path), "Name the folder of a dataset.")
@@ -52,11 +49,6 @@ class Database:
             found = _examine(connection, path)
             if write and found == 0:
                 _create(connection)
-            older = found if write and 0 < found < SCHEMA_VERSION else 0
-            if older:
-                connection.close()
-                migrate(path)
-                connection = _connect(path, mode)
         except (sqlite3.Error, InputError) as error:
             if connection is not None:
                 connection.close()
@@ -66,9 +58,7 @@ class Database:
         writable = write and found <= SCHEMA_VERSION
         if not writable:
             connection.execute("PRAGMA query_only = ON")
-        database = cls(connection, path, writable=writable)
-        database.migrated_from = older
-        return database
+        return cls(connection, path, writable=writable)
 
     @property
     def schema_version(self) -> int:
@@ -190,6 +180,12 @@ def _examine(connection: sqlite3.Connection, path: Path) -> int:
     if not ours and not (empty and version == 0):
         raise InputError(
             "The file is not a catalogue of Touchdown.", str(path), "Name the folder of a dataset."
+        )
+    if 0 < version < SCHEMA_VERSION:
+        raise InputError(
+            f"The catalogue is of schema {version}, before the first release.",
+            str(path),
+            "'touchdown dataset rebuild --replace' makes it anew from files and journal.",
         )
     return version
 

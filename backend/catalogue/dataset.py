@@ -138,11 +138,6 @@ class Dataset:
             follow(self.database.one("SELECT coalesce(max(uuid), '') FROM episode")[0])
             self.labels.frozen = " ".join(finding.said for finding in found if finding.locks)
             self.notices = (*sentences(found), *filter(None, (weakness(self.folder),)))
-            if self.database.migrated_from:
-                self.notices += (
-                    f"The catalogue was of schema {self.database.migrated_from}: it was brought up "
-                    "to date on a copy; the former one is in quarantine.",
-                )
         elif self._lock is not None:
             self.notices = (
                 "The catalogue was written by a newer version of Touchdown: open for reading only.",

@@ -101,8 +101,6 @@ class LabelReader:
 
     def left_apart(self, person: str) -> dict[str, Step]:
         """Return what ``person`` did last to each episode that was gold to them."""
-        if self._database.schema_version < apart.SINCE_SCHEMA:
-            return {}
         with self._database.reading() as connection:
             return apart.last_steps(connection, person)
 

@@ -139,8 +139,6 @@ def _gold(database: Database, person: str, seed: int, limit: int) -> list[str]:
 def _answered(database: Database, person: str) -> set[str]:
     """Return the episodes with an opinion of ``person`` that they did not take back since."""
     sql = "SELECT episode FROM opinion JOIN op USING (op_uuid) WHERE actor = ?"
-    if database.schema_version < apart.SINCE_SCHEMA:
-        return set(_ids(database, sql, person))
     by_itself = " AND NOT EXISTS (SELECT 1 FROM apart a WHERE a.op_uuid = opinion.op_uuid)"
     with database.reading() as connection:
         steps = apart.last_steps(connection, person)

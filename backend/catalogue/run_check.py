@@ -50,8 +50,6 @@ def check_runs(where: Store) -> Iterator[Finding]:
 
 def _gone(where: Store) -> Iterator[Finding]:
     """Yield the rows of runs that never ended and have no folder any more."""
-    if where.database.schema_version < 2:
-        return
     for (uuid,) in where.database.rows("SELECT uuid FROM run WHERE state IN (?, ?)", OPEN):
         if not (where.folder / RUNS / uuid).is_dir():
             said = f"The folder of run {uuid} is gone; its figures so far are kept."

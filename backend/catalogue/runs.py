@@ -62,36 +62,32 @@ class RunBook:
 
     def entries(self, kind: str | None = None) -> list[About]:
         """Return the runs (of ``kind``), the newest first."""
-        if not self._follow():
-            return []
+        self._follow()
         sql = f"SELECT {_ALL} FROM run WHERE kind = coalesce(?, kind) ORDER BY started_ns DESC"  # noqa: S608
         return [self._entry(row) for row in self._database.rows(sql, (kind,))]
 
     def entry(self, uuid: str) -> About:
         """Return one run; raises ``InputError`` if there is none of that id."""
-        row = None
-        if self._follow():
-            sql = f"SELECT {_ALL} FROM run WHERE uuid = ?"  # noqa: S608
-            row = self._database.first(sql, (uuid,))
+        self._follow()
+        sql = f"SELECT {_ALL} FROM run WHERE uuid = ?"  # noqa: S608
+        row = self._database.first(sql, (uuid,))
         if row is None:
             raise InputError("There is no such run.", uuid, "List the runs of the dataset.")
         return self._entry(row)
 
     def metrics(self, uuid: str, name: str | None = None) -> list[Metric]:
         """Return the values of a run (of one name), by name and step."""
-        if not self._follow():
-            return []
+        self._follow()
         sql = (
             "SELECT name, step, value, at_ns FROM metric WHERE run = ? AND name = coalesce(?, name)"
         )
         rows = self._database.rows(f"{sql} ORDER BY name, step", (uuid, name))
         return [Metric(n, s, math.nan if v is None else v, at_ns) for n, s, v, at_ns in rows]
 
-    def _follow(self) -> bool:
-        """Bring the tables up to date; False for an older catalogue that has none."""
+    def _follow(self) -> None:
+        """Bring the tables up to date."""
         if self._database.writable:
             follow(self._folder, self._database)
-        return self._database.schema_version >= 2
 
     def _entry(self, row: tuple[Any, ...]) -> About:
         values = dict(zip(COLUMNS, row, strict=True))

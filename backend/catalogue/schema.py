@@ -162,9 +162,6 @@ CREATE INDEX apart_episode ON apart (episode);
 """ + _guards("apart", "op_uuid = NEW.op_uuid AND episode = NEW.episode")
 """Of each step on gold what the person sees after it, and where and when the episode is shown."""
 
-STEPS = {1: RUNS, 2: CHECKED, 3: APART}
-"""What brings a catalogue of each older schema to the next one."""
-
 KEYS = {
     "op": "op_uuid = NEW.op_uuid OR (site = NEW.site AND seq = NEW.seq)",
     "label_rev": "rev_uuid = NEW.rev_uuid",
@@ -172,10 +169,10 @@ KEYS = {
     "opinion": "op_uuid = NEW.op_uuid AND episode = NEW.episode",
     "event": "id = NEW.id",
 }
-"""The append-only tables of the first schema and what makes a row of them the same row."""
+"""The append-only tables of ``TABLES`` and what makes a row of them the same row."""
 
 
 def statements() -> str:
-    """Return everything a new catalogue needs: the first schema and all steps since."""
+    """Return everything a new catalogue needs."""
     guards = "".join(_guards(table, key) for table, key in KEYS.items())
-    return TABLES + guards + "".join(STEPS.values())
+    return TABLES + guards + RUNS + CHECKED + APART

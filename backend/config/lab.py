@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -12,7 +11,7 @@ from pydantic import Field, model_validator
 
 from backend.config.bench_facts import BenchFacts, digest, wrist_frame
 from backend.config.hardware import HardwareSettings
-from backend.config.lab_places import is_emulated, refuse_wrong_places
+from backend.config.lab_places import refuse_wrong_places
 from backend.config.load import parse, read_toml
 from backend.config.method import NonNegative, Positive, Settings
 from backend.core.faults import InputError
@@ -158,37 +157,19 @@ def is_lab_file(path: Path) -> bool:
 
 
 def load_lab(path: Path) -> Lab:
-    """Read a lab file of any version; raises ``InputError`` naming file, key and reason."""
-    content = migrated(read_toml(path), path)
-    settings = parse(LabSettings, content, str(path))
+    """Read a lab file; raises ``InputError`` naming file, key and reason."""
+    settings = parse_lab(read_toml(path), path)
     refuse_wrong_places(settings, settings.kind, str(path))
     return Lab(path, settings)
 
 
-def migrated(content: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Return ``content`` in the present version; raises ``InputError`` for a newer one."""
-    version = content.get("version", 0)
-    if not isinstance(version, int) or isinstance(version, bool) or not 0 <= version <= VERSION:
+def parse_lab(content: dict[str, Any], path: Path) -> LabSettings:
+    """Return the settings of a lab file; raises ``InputError``, also for another version."""
+    version = content.get("version")
+    if version != VERSION or isinstance(version, bool):
         raise InputError(
-            f"Bad value for 'version': {version!r} is not known here (0 to {VERSION}).",
+            f"Bad value for 'version': {version!r} is not known here ({VERSION}).",
             str(path),
-            "Use the Touchdown that wrote the file, or a newer one.",
+            f"Write 'version = {VERSION}', or use the Touchdown that wrote the file.",
         )
-    for step in MIGRATIONS[version:]:
-        content = step(content, path)
-    return content
-
-
-def _from_0(content: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Return tables of devices alone, as the first emulated benches wrote them, as version 1."""
-    devices = parse(
-        HardwareSettings,
-        {key: value for key, value in content.items() if key in HardwareSettings.model_fields},
-        str(path),
-    )
-    kind: LabKind = "emulated" if is_emulated(devices) else "hardware"
-    return {"name": path.stem[:32], "kind": kind, **content, "version": 1}
-
-
-MIGRATIONS: tuple[Callable[[dict[str, Any], Path], dict[str, Any]], ...] = (_from_0,)
-"""Entry k brings version k to k + 1."""
+    return parse(LabSettings, content, str(path))

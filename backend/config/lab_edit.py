@@ -12,9 +12,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from backend.config.lab import LabSettings, migrated
+from backend.config.lab import parse_lab
 from backend.config.lab_places import refuse_wrong_places
-from backend.config.load import parse, read_toml
+from backend.config.load import read_toml
 from backend.core.faults import InputError
 from backend.core.files import write_atomically
 
@@ -32,7 +32,7 @@ def save_lab(path: Path, values: Mapping[str, Value]) -> bool:
     after = with_values(before, values, str(path))
     if after == before:
         return False
-    settings = parse(LabSettings, migrated(tomllib.loads(after), path), str(path))
+    settings = parse_lab(tomllib.loads(after), path)
     refuse_wrong_places(settings, settings.kind, str(path))
     write_atomically(path, after.encode())
     return True

@@ -21,11 +21,6 @@ ARM_HOSTS = {"melfa": "melfa.host", "ur": "ur.host"}
 """Where the arm of each driver answers."""
 
 
-def is_emulated(settings: HardwareSettings) -> bool:
-    """Whether every device answers on this computer, as emulated ones do."""
-    return all(here for _, here in _places(settings))
-
-
 def refuse_wrong_places(settings: HardwareSettings, kind: str, where: str) -> None:
     """Raise ``InputError`` where ``kind`` ("hardware" or "emulated") and an address disagree."""
     for key, here in _places(settings):

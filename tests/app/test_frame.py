@@ -148,12 +148,12 @@ def test_no_file_is_no_warning(tmp_path):
 
 @pytest.mark.parametrize(
     "content",
-    ["", "{", "[]", "null", '{"version": 99}', '{"version": 1, "theme": 5, "scale": "x"}',
-     '{"version": 1, "geometry": [1, 2], "form": {"seed": "seven"}}',
-     '{"version": 1, "scale": 1e9, "geometry": ["a", 1, 1, 1], "form": []}',
+    ["", "{", "[]", "null", '{"version": 1}', '{"version": 2, "theme": 5, "scale": "x"}',
+     '{"version": 99}', '{"version": 2, "geometry": [1, 2]}',
+     '{"version": 2, "scale": 1e9, "geometry": ["a", 1, 1, 1], "pages": []}',
      '{"version": 2, "keys": {"stack.pause": 7}}', '{"version": 2, "pages": {"stack": 5}}',
      '{"version": 2, "pages": [], "front": 4}',
-     '{"version": 1, "geometry": [0, 0, 99999999, 1]}', "\udcff"],
+     '{"version": 2, "geometry": [0, 0, 99999999, 1]}', "\udcff"],
 )  # fmt: skip
 def test_a_bad_file_never_prevents_the_start(tmp_path, content):
     path = tmp_path / "window.json"
@@ -167,7 +167,8 @@ def test_a_bad_file_never_prevents_the_start(tmp_path, content):
 
 def test_good_fields_of_a_partly_bad_file_are_kept(tmp_path):
     path = tmp_path / "window.json"
-    body = {"version": 1, "theme": "light", "scale": 7, "form": {"piece": "barrel", "seed": "x"}}
+    body = {"version": 2, "theme": "light", "scale": 7,
+            "pages": {"stack": {"piece": "barrel", "seed": "x"}}}  # fmt: skip
     path.write_text(json.dumps(body))
     settings, warning = load_settings(path)
     assert settings.theme == "light"

@@ -155,6 +155,15 @@ def test_a_newer_catalogue_opens_for_reading_with_a_notice(tmp_path: Path) -> No
         assert newer.entry(entry.uuid) == entry
 
 
+@pytest.mark.parametrize("write", [True, False])
+def test_a_catalogue_of_an_unreleased_schema_is_refused(tmp_path: Path, write: bool) -> None:
+    with Dataset.open(tmp_path) as dataset, dataset.database.transaction() as connection:
+        connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION - 1}")
+    with pytest.raises(InputError, match=f"schema {SCHEMA_VERSION - 1}") as caught:
+        Dataset.open(tmp_path, write=write)
+    assert "rebuild" in caught.value.fix
+
+
 @pytest.mark.parametrize("content", [b"no database at all" * 100, b""])
 def test_a_foreign_catalogue_is_one_input_error(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "catalog.db").write_bytes(content)

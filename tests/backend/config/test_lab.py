@@ -48,20 +48,17 @@ def test_the_limits_of_the_file_are_those_of_the_interlock():
     assert LimitSettings().model_dump() == asdict(Limits())
 
 
-@pytest.mark.parametrize(
-    ("text", "kind"), [(EMULATED, "emulated"), ("[ft]\nsign = -1\n", "hardware")]
-)
-def test_tables_of_devices_alone_are_an_older_version(tmp_path, text, kind):
-    settings = load_lab(written(tmp_path, text)).settings
-    assert (settings.version, settings.name, settings.kind) == (VERSION, "lab", kind)
-
-
-@pytest.mark.parametrize("version", [VERSION + 1, -1, '"1"', "true"])
+@pytest.mark.parametrize("version", [VERSION + 1, 0, -1, '"1"', "true"])
 def test_a_version_that_nobody_knows_is_refused(tmp_path, version):
     path = written(tmp_path, f'version = {version}\nname = "x"\nkind = "hardware"\n')
     with pytest.raises(InputError, match="'version'") as caught:
         load_lab(path)
     assert caught.value.where == str(path)
+
+
+def test_a_file_without_a_version_is_refused(tmp_path):
+    with pytest.raises(InputError, match="'version': None"):
+        load_lab(written(tmp_path, "[ft]\nsign = -1\n"))
 
 
 @pytest.mark.parametrize(

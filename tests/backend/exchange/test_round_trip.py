@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -104,6 +105,36 @@ def test_parquet_rows_are_the_recorded_numbers(dataset: Dataset, hand: Hand) -> 
         window = np.array(table["observation.ft_window"][rows], np.float32)
         latest = np.searchsorted(recording.wrench_t_s, t_s[4] + 1e-6, side="right") - 1
         assert window[4, -1].tolist() == recording.wrench[latest].astype(np.float32).tolist()
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_positions_are_metres_in_the_file_and_mm_after_an_import(
+    kind: str, tmp_path: Path, hand: Hand
+) -> None:
+    """The arm stands at (120, -45, 31) mm and is told to go to (125, -50, 29) mm."""
+    still = recorded_episode(5)
+    assert still.recording is not None
+    poses, told = (np.tile(at, (260, 1)) for at in ((120.0, -45.0, 31.0), (125.0, -50.0, 29.0)))
+    still = replace(still, recording=replace(still.recording, pose_mm=poses, command_mm=told))
+    with Dataset.open(tmp_path / "still") as dataset:
+        label = Label(1500, -2750, 0, 3)
+        dataset.record(still, label, source="measured", context=context_for(dataset))
+        out = hand(kind, of=dataset).folder
+    if kind == "lerobot":
+        rows = pq.read_table(out / "data/chunk-000/file-000.parquet").to_pydict()
+        state, action = rows["observation.state"][7], rows["action"][7]
+    else:
+        with h5py.File(out / "demos.hdf5", "r") as file:
+            state, action = file["data/demo_0/obs/state"][7], file["data/demo_0/actions"][7]
+    assert list(state) == pytest.approx([0.120, -0.045, 0.031, 0.0, 0.0, 0.0, 1.0])
+    assert list(action) == pytest.approx([0.125, -0.050, 0.029, 0.0, 0.0, 0.0, 1.0])
+    with Dataset.open(tmp_path / "back") as back:
+        (uuid,) = Import(back, kind, out, WISH).write()
+        recording = back.read(uuid).recording
+        assert recording is not None
+        np.testing.assert_allclose(recording.pose_mm[7], (120.0, -45.0, 31.0), atol=1e-4)
+        np.testing.assert_allclose(recording.command_mm[7], (125.0, -50.0, 29.0), atol=1e-4)
+        assert back.labels.head(uuid).label.offset_mm.tolist() == [1.5, -2.75]
 
 
 def test_without_commanded_poses_the_action_is_the_measured_one(

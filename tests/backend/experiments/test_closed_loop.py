@@ -13,11 +13,12 @@ import pytest
 
 from backend.assembly import make_scene, shipped_model
 from backend.config.method import StackSettings
-from backend.config.simulation import PRESETS, SimulationSettings
+from backend.config.simulation import PRESETS, SimulationSettings, load_simulation
 from backend.core.facts import ActionChosen, EpisodeRecorded, TrialFinished
 from backend.core.flow import Outcome
 from backend.experiments.closed_loop import Model, pick_and_place_in_lockstep, stack_in_lockstep
 from backend.experiments.models import batch_model
+from backend.experiments.scenes import Case, start_scene
 from backend.learning.checkpoint import load_checkpoint
 from backend.objects.catalogue import load_catalogue
 from backend.objects.surface import face_points
@@ -109,3 +110,16 @@ def test_one_who_never_knows_gives_up(settings: SimulationSettings) -> None:
     # Looking around, the piece may leave the support: then the press finds nothing.
     assert end.outcome in (Outcome.GAVE_UP, Outcome.ABORTED)
     assert end.verdict is None
+
+
+def test_fusion_places_a_mug_over_its_centre_of_mass() -> None:
+    """Told a mirrored centre it lets some of these fall, or ends within 0.1 mm of the edge."""
+    case = Case.of(load_catalogue(), "mug", ("short",), load_simulation(preset="bench-v1"))
+    scenes = [scene for seed in (900, 901, 902) if (scene := start_scene(case, seed))]
+    points = face_points(case.piece.face)
+    unasked = Model(lambda seen: np.full((len(seen), len(points)), 0.5), points, None)
+    fused = StackSettings(strategy="fused")
+    for end in stack_in_lockstep(scenes, unasked, fused, EpisodeLimits()):
+        assert end.outcome is Outcome.PLACED
+        assert end.verdict is not None
+        assert end.verdict.margin_mm > 0.5

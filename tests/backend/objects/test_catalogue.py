@@ -28,7 +28,7 @@ across_corners_mm = 30.0
 
 def test_shipped_pieces_have_the_nominal_sizes() -> None:
     catalogue = load_catalogue()
-    assert catalogue.tops == ("barrel", "mushroom", "pot")
+    assert catalogue.tops == ("barrel", "mug", "mushroom", "pot")
     assert set(catalogue.bottoms) == {
         "short", "long", "hex20", "rect12x28", "circle15", "circle25", "square15", "barrel",
     }  # fmt: skip
@@ -41,12 +41,20 @@ def test_shipped_pieces_have_the_nominal_sizes() -> None:
         "mushroom": (25.4, 67, 33, 21, 33),
         "barrel": (21.2, 46, 23, 30, 40),
         "pot": (15.0, 38, 20, 15, 30),
+        "mug": (20.0, 45, 21, 24, 32),
     }
     assert catalogue.piece("short").face == shapes.circle(20.0)
     assert catalogue.piece("long").face == shapes.circle(18.0)
     assert catalogue.piece("hex20").face == shapes.regular(6, 20.0)
     assert catalogue.piece("rect12x28").face == shapes.rectangle(12.0, 28.0)
     assert catalogue.piece("square15").face == shapes.square(15.0)
+
+
+def test_the_centre_of_mass_of_the_mug_alone_is_off_its_middle() -> None:
+    pieces = load_catalogue().pieces
+    off = {name: p.com_xy_mm for name, p in pieces.items() if p.com_xy_mm != (0.0, 0.0)}
+    assert off == {"mug": (1.7, -0.9)}
+    assert pieces["mug"].body((3.0, 4.0)).com_xy_mm == (1.7, -0.9)
 
 
 def test_only_the_board_is_fixed_and_measured() -> None:
@@ -61,7 +69,7 @@ def test_only_the_board_is_fixed_and_measured() -> None:
 def test_roles_are_kept_apart() -> None:
     catalogue = load_catalogue()
     assert catalogue.bottom("short").name == "short"
-    with pytest.raises(InputError, match=r"cannot be grasped.*barrel, mushroom, pot"):
+    with pytest.raises(InputError, match=r"cannot be grasped.*barrel, mug, mushroom, pot"):
         catalogue.top("short")
     with pytest.raises(InputError, match="cannot carry another piece"):
         catalogue.bottom("pot")

@@ -15,11 +15,11 @@ from shapely.geometry import Point, Polygon, box
 
 from backend.config.method import StackSettings
 from backend.core.flow import ContactPatch
-from backend.placement.belief import Belief
-from backend.placement.policy import choose
-from backend.placement.stability import judge
+from backend.placement.strategy import XY, Held, PaperReasoner, Touched
 
-FACE_RADIUS_MM = {"mushroom": 12.7, "barrel": 10.6, "pot": 7.5}
+FACE_RADIUS_MM = {"mushroom": 12.7, "barrel": 10.6, "pot": 7.5, "mug": 10.0}
+COM_MM = {"mug": (1.7, -0.9)}
+"""Of the others the centre of mass is over the middle of the face."""
 BOTTOMS = {
     "short": Point(0, 0).buffer(10.0, 64),
     "long": Point(0, 0).buffer(9.0, 64),
@@ -39,26 +39,26 @@ def lattice(radius_mm: float) -> np.ndarray:
     return points[np.hypot(points[:, 0], points[:, 1]) <= radius_mm + 1e-9]
 
 
-def exact_margin_mm(radius_mm: float, bottom: Polygon, at: tuple[float, float]) -> float:
-    face = translate(Point(0, 0).buffer(radius_mm, 64), *at)
+def exact_margin_mm(piece: str, bottom: Polygon, at: XY) -> float:
+    face = translate(Point(0, 0).buffer(FACE_RADIUS_MM[piece], 64), *at)
     support = face.intersection(bottom)
     if support.area < 1e-6:
         return -math.inf
-    hull, centre = support.convex_hull, Point(at)
+    com = COM_MM.get(piece, (0.0, 0.0))
+    hull, centre = support.convex_hull, Point(at[0] + com[0], at[1] + com[1])
     distance = hull.exterior.distance(centre)
     return distance if hull.contains(centre) else -distance
 
 
-def random_start(
-    rng: np.random.Generator, radius_mm: float, bottom: Polygon
-) -> tuple[float, float]:
+def random_start(rng: np.random.Generator, piece: str, bottom: Polygon) -> XY:
     """A start as the issue draws it: overlap at least 6 mm², margin at most -0.2 mm."""
+    radius_mm = FACE_RADIUS_MM[piece]
     reach = radius_mm + 14.0
     while True:
         x, y = rng.uniform(-reach, reach, 2)
         face = translate(Point(0, 0).buffer(radius_mm, 64), x, y)
         overlap = face.intersection(bottom).area
-        if overlap >= 6.0 and exact_margin_mm(radius_mm, bottom, (x, y)) <= -0.2:
+        if overlap >= 6.0 and exact_margin_mm(piece, bottom, (x, y)) <= -0.2:
             return float(x), float(y)
 
 
@@ -66,19 +66,17 @@ def run_once(
     piece: str, bottom: str, rng: np.random.Generator, settings: StackSettings
 ) -> tuple[str, int, float]:
     """Return how the loop ended, its probes, and the exact margin at the end."""
-    radius, shape = FACE_RADIUS_MM[piece], BOTTOMS[bottom]
-    start = random_start(rng, radius, shape)
-    face = lattice(radius)
-    here = start
-    belief = Belief.unknown(settings.belief, here)
+    shape = BOTTOMS[bottom]
+    here = random_start(rng, piece, shape)
+    face = lattice(FACE_RADIUS_MM[piece])
+    reasoner = PaperReasoner(Held(COM_MM.get(piece, (0.0, 0.0)), 30.0), settings, here)
+    unread = np.zeros((20, 258), np.float32)
     for probe in range(1, settings.policy.max_probes + 2):
         truth = contains_xy(shape, face[:, 0] + here[0], face[:, 1] + here[1])
         patch = ContactPatch(face.copy(), truth.astype(np.float64))
-        belief = belief.updated(patch, here)
-        stability = judge(belief, patch, (0.0, 0.0), here, settings.stability)
-        action = choose(stability, belief, here, settings.policy, settings.stability)
+        action = reasoner.conclude(Touched(unread, patch, here)).action
         if action.kind != "shift":
-            return action.kind, probe, exact_margin_mm(radius, shape, here)
+            return action.kind, probe, exact_margin_mm(piece, shape, here)
         assert math.hypot(*action.step_mm) <= settings.policy.longest_step_mm + 1e-9
         here = (here[0] + action.step_mm[0], here[1] + action.step_mm[1])
     raise AssertionError("the loop does not end")

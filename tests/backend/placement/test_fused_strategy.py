@@ -5,6 +5,7 @@ what it does where it knows nothing.
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,8 @@ from backend.config.simulation import load_simulation
 from backend.core.faults import InputError
 from backend.core.flow import ContactPatch
 from backend.learning.fused.checkpoint import shipped_fused
-from backend.learning.fused.summary import felt_at
+from backend.learning.fused.forward import Inset
+from backend.learning.fused.summary import Face, felt_at
 from backend.objects.catalogue import load_catalogue
 from backend.objects.shapes import circle
 from backend.objects.surface import face_points
@@ -159,6 +161,15 @@ def test_a_place_without_contact_sends_it_half_way_back(presses: list[Presses]) 
         assert action.step_mm == pytest.approx((-way, 0.0))
 
 
+def test_a_step_after_a_missed_contact_is_3_mm_at_most(presses: list[Presses]) -> None:
+    reasoner, _ = concluded(presses[:1], 0, places=PLACES[:1])
+    x, y = PLACES[0]
+    action = reasoner.missed((x + 8.0, y - 6.0))
+    assert action.clipped
+    assert action.step_mm == pytest.approx((-2.4, 1.8))
+    assert action.target_mm == pytest.approx((x + 4.0, y - 3.0))
+
+
 def test_on_a_leaning_tower_it_neither_lets_go_nor_aims_where_the_lower_bottom_tips(
     presses: list[Presses],
 ) -> None:
@@ -184,6 +195,71 @@ def test_on_a_leaning_tower_it_neither_lets_go_nor_aims_where_the_lower_bottom_t
         assert alone.likely_at(at)
         assert wary.likely_at(at) is not falls
     assert leaning[-1].action.target_mm[0] < middle[0]
+
+
+MUG = load_catalogue().top("mug").com_xy_mm
+DISC_MM, MIDDLE_MM = 9.0, (3.0, -2.0)
+
+
+def one_who_knows(
+    held: Held, settings: StackSettings = SETTINGS
+) -> tuple[FusedReasoner, list[Face]]:
+    """A reasoner whose network knows the disc that it stands over; and what faces it was told."""
+    faces: list[Face] = []
+
+    def known(wrench: Any, fields: Any, offset_mm: Any, face: Face) -> Any:
+        faces.append(face)
+        return offset_mm
+
+    def inset(here_mm: Any, points_mm: Any, from_first_mm: Any) -> Inset:
+        deep = DISC_MM - np.hypot(*(here_mm + points_mm - MIDDLE_MM).T)[:, None]
+        return Inset(np.ones_like(deep), deep, np.full_like(deep, 0.2))
+
+    reasoner = FusedReasoner(held, settings, (6.0, 4.0))
+    reasoner._forward = SimpleNamespace(known=known, inset=inset)  # type: ignore[assignment]
+    return reasoner, faces
+
+
+def touch(reasoner: FusedReasoner, at: XY) -> Conclusion:
+    patch = ContactPatch(FACE.copy(), np.full(len(FACE), 0.5))
+    return reasoner.conclude(Touched(np.zeros((20, 258), np.float32), patch, at))
+
+
+def test_the_centre_of_mass_of_a_mug_is_judged_and_brought_over_the_middle() -> None:
+    deep = FusedSettings(risk=0.5, inset_mm=8.0)
+    reasoner, faces = one_who_knows(
+        replace(HELD, com_xy_mm=MUG), StackSettings(strategy="fused", belief=SMALL, fused=deep)
+    )
+    first = touch(reasoner, (6.0, 4.0))
+    np.testing.assert_allclose(faces[-1].com_mm, MUG)
+    assert first.stability.centre_mm == pytest.approx((7.7, 3.1))
+    # The middle is 6.94 mm away from there: 2.06 mm within the disc.
+    assert first.stability.margin_mm == pytest.approx(DISC_MM - np.hypot(4.7, 5.1), abs=0.06)
+    there = (MIDDLE_MM[0] - MUG[0], MIDDLE_MM[1] - MUG[1])
+    assert first.action.kind == "shift"
+    assert first.action.target_mm == pytest.approx(there, abs=1e-6)
+    over = reasoner.inset_at(there)
+    assert over is not None
+    assert over.expected_mm() == pytest.approx(DISC_MM)
+    assert touch(reasoner, there).action.kind == "release"
+
+
+def test_on_a_tower_a_mug_stands_where_a_centred_piece_would_under_the_same_load() -> None:
+    """The lower bottom is narrow and stands aside, so that both its sides matter."""
+    disc, narrow = circle(2.0 * DISC_MM), circle(10.0)
+    low = Body("low", narrow, narrow, 20.0, 30.0, 10.0)
+    tower = Below((low, Body("disc", disc, disc, 20.0, 10.0, 10.0)), ((-2.0, 3.0),), 0.3, 25.0)
+    mug, _ = one_who_knows(replace(HELD, com_xy_mm=MUG, below=tower))
+    centred, _ = one_who_knows(replace(HELD, below=tower))
+    for reasoner in (mug, centred):
+        touch(reasoner, (3.0, -2.0))
+    likely = 0
+    for x, y in ((float(x), float(y)) for x in range(-6, 13) for y in range(-11, 8)):
+        at = x - MUG[0], y - MUG[1]
+        assert mug.likely_at(at) == centred.likely_at((x, y))
+        assert mug.stable_at(at) == centred.stable_at((x, y))
+        likely += mug.likely_at(at)
+    assert 20 < likely < 150
 
 
 def test_it_goes_where_the_centre_of_mass_lies_deepest() -> None:

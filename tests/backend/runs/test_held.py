@@ -11,6 +11,16 @@ from backend.runs.requests import SceneChoice
 from backend.runs.stack import held_by
 
 
+def test_the_centre_of_mass_comes_from_the_piece() -> None:
+    session = simulated_session(SimulatedBenchChoice())
+    try:
+        scene = session._set_scene(SceneChoice(piece="mug", bottoms=("short",), estimates=False))
+        held = held_by(session._bench(scene, StackSettings()))
+        assert (held.com_xy_mm, held.grip_height_mm) == ((1.7, -0.9), 32.0)
+    finally:
+        session.close()
+
+
 def test_the_height_of_the_sensor_and_the_tower_come_from_bench_and_entry() -> None:
     session = simulated_session(SimulatedBenchChoice())
     try:

@@ -11,7 +11,6 @@ from rich.text import Text
 
 from backend.verbs import check_lab, check_machine, check_packages
 from backend.verbs.check import Check, Examine
-from backend.verbs.dataset_care import examine_only
 from backend.verbs.screen import Screen
 
 NAME = "doctor"
@@ -57,6 +56,7 @@ def run(args: argparse.Namespace, screen: Screen) -> int:
     """Print all findings; returns 1 if one of them stops Touchdown from working."""
     # Imported here so that the check does not load what it checks (OpenCV).
     from backend.runs.store import dataset_folder
+    from backend.verbs.dataset_care import examine_only
 
     if args.dataset is not None:
         folder = Path(args.dataset) if args.dataset else dataset_folder()

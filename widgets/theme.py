@@ -209,17 +209,3 @@ def blend(under: QColor, over: QColor, share: float) -> QColor:
         under.greenF() + share * (over.greenF() - under.greenF()),
         under.blueF() + share * (over.blueF() - under.blueF()),
     )
-
-
-def contrast_ratio(one: QColor, other: QColor) -> float:
-    """Contrast ratio of WCAG 2 (1 to 21) of two opaque colours."""
-    lighter, darker = sorted((_luminance(one), _luminance(other)), reverse=True)
-    return (lighter + 0.05) / (darker + 0.05)
-
-
-def _luminance(colour: QColor) -> float:
-    linear = [
-        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4
-        for c in (colour.redF(), colour.greenF(), colour.blueF())
-    ]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]

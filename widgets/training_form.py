@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import (
@@ -276,11 +276,6 @@ class _Numbers:
             learning_rate=self.rate.value(), batch=self.batch.value(),
             held_out=self.held_out.value(), seed=self.seed.value(),
         )  # fmt: skip
-
-
-def form_fields() -> tuple[str, ...]:
-    """Return the names of the fields of the form."""
-    return tuple(field.name for field in fields(TrainingForm))
 
 
 def _whole(low: int, high: int) -> QSpinBox:

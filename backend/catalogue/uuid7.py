@@ -54,8 +54,3 @@ def is_uuid7(text: str) -> bool:
     except ValueError:
         return False
     return value.version == 7 and str(value) == text
-
-
-def made_at_ns(text: str) -> int:
-    """Return the Unix time in ns, to 1 ms, at which an id was made."""
-    return (uuid.UUID(text).int >> 80) * 1_000_000

@@ -41,15 +41,6 @@ class Normaliser:
     scale: NDArray[np.float32]
 
 
-def fit_normaliser(observation: NDArray[np.float32], modality: Modality) -> Normaliser:
-    """Fit on ``observation`` (n, 20, 258): mean per channel, one scale per channel group.
-
-    One scale per group keeps the sizes of neighbouring markers comparable. A group that never
-    changes gets scale 1.
-    """
-    return fit_in_parts([observation], modality)
-
-
 def fit_in_parts(parts: Iterable[NDArray[np.float32]], modality: Modality) -> Normaliser:
     """Fit on the episodes of all ``parts`` without holding them at once."""
     count, mean, squares = 0, np.zeros(CHANNELS), np.zeros(CHANNELS)

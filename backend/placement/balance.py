@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from backend.core.flow import FloatArray
-from backend.placement.hull import convex_hull, signed_margin_mm
 
 LEAST_PRESS_N = 0.5
 """Below this press force the quotient is noise (F/T offset 0.2 N): no centre is returned."""
@@ -46,15 +43,3 @@ def pressed_at_mm(wrench: FloatArray, lever_mm: float) -> FloatArray:
     """
     growth = wrench[LAST_TICKS].mean(axis=0) - wrench[FIRST_TICK]
     return centre_of_pressure_mm(growth, lever_mm, LEAST_RISE_N)
-
-
-def outside_patch_mm(points_mm: FloatArray, centre_mm: FloatArray) -> float:
-    """Return how far ``centre_mm`` (2,) lies outside the hull of contact ``points_mm`` (n, 2).
-
-    Zero inside: a flat contact can only push, so the centre of pressure lies in its hull. Infinity
-    for an empty patch, NaN for a centre that is not a number.
-    """
-    if not np.isfinite(centre_mm).all():
-        return math.nan
-    hull = convex_hull(points_mm)
-    return max(0.0, -signed_margin_mm(hull, (float(centre_mm[0]), float(centre_mm[1]))))

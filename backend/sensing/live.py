@@ -152,8 +152,3 @@ class LiveSensing:
         if not len(window.t_s):
             return float("nan")
         return float(np.mean(window.values[-10:, 2]))
-
-    def newest_displacement(self, finger: Finger) -> FloatArray | None:
-        """Return the newest (63, 2) displacement in px, or None."""
-        field = self.fields[finger].newest()
-        return None if field is None else field.displacement_px

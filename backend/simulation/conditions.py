@@ -58,16 +58,6 @@ class Conditions:
         return Conditions(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
 
-def stack_conditions(parts: list[Conditions]) -> Conditions:
-    """Join batches along B."""
-    return Conditions(
-        **{
-            f.name: np.concatenate([getattr(part, f.name) for part in parts])
-            for f in fields(Conditions)
-        }
-    )
-
-
 def true_offset_mm(
     commanded_mm: FloatArray, conditions: Conditions, slip: FloatArray | None = None
 ) -> FloatArray:

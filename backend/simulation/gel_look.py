@@ -57,11 +57,6 @@ def load_look(name: str = "large-dot") -> GelLook:
     )
 
 
-def feats_variant(look: GelLook) -> GelLook:
-    """Return ``look`` with the smaller, sharper dots of the FEATS sensor."""
-    return replace(look, name=f"{look.name}-feats", radius_px=6.1, edge_px=0.55)
-
-
 def mirrored(look: GelLook, width_px: int = 320) -> GelLook:
     """Return the look of the opposite finger: flipped left to right, order kept row-major."""
     grid = look.rest_px.reshape(GRID_ROWS, GRID_COLS, 2)[:, ::-1].copy()

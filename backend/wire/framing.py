@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from backend.core.faults import TouchdownError
 
@@ -20,23 +20,6 @@ class WireError(TouchdownError):
     def __init__(self, what: str, where: str, offset: int = 0) -> None:
         super().__init__(f"{what} [{where}, byte {offset}]")
         self.what, self.where, self.offset = what, where, offset
-
-
-class StreamDecoder(Protocol[Message]):
-    """Turns a stream of bytes, cut anywhere, into whole messages; never raises on content."""
-
-    bad_frames: int
-    """Frames refused since the decoder was made."""
-    bad_in_a_row: int
-    """Frames refused since the last good one."""
-    discarded: int
-    """Bytes that belonged to no message."""
-
-    def feed(self, data: bytes) -> list[Message]:
-        """Take the next bytes; return the messages they complete, oldest first."""
-
-    def reset(self) -> None:
-        """Forget the bytes of an unfinished message; the counts stay."""
 
 
 class Step(NamedTuple, Generic[Message]):

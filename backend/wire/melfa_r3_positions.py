@@ -101,12 +101,6 @@ class Number:
         )
 
 
-def position_of(name: str, pose: Pose) -> Position:
-    """Return the variable ``name`` that holds ``pose``."""
-    degrees = tuple(map(math.degrees, pose.axes[3:6]))
-    return Position(name, (*pose.axes[:3], *degrees), (pose.flag1, pose.flag2))
-
-
 def read_variable(answer: str) -> Position | Number:
     """Return the variable of an answer to VAL; raises ``WireError``."""
     found = _VARIABLE.fullmatch(answer)

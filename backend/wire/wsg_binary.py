@@ -84,11 +84,6 @@ def set_force_limit(force_sum_n: float) -> Request:
     return Request(Command.SET_FORCE_LIMIT, (force_sum_n,))
 
 
-def set_acceleration(acceleration_mm_s2: float) -> Request:
-    """Set the acceleration of all motions."""
-    return Request(Command.SET_ACCELERATION, (acceleration_mm_s2,))
-
-
 def update(command: Command, period_ms: int = 0, *, on_change: bool = False) -> Request:
     """Ask for a reading once (period 0), or again and again; ``on_change`` only when it differs."""
     return Request(command, ((period_ms > 0) | on_change << 1, period_ms))

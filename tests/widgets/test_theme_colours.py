@@ -15,7 +15,7 @@ from widgets.arrows import BIN_COLOURS
 from widgets.device_chip import ChipState, mark_colours
 from widgets.scene_shot import LOOKS
 from widgets.style_sheet import style_sheet
-from widgets.theme import CONTRAST, DARK, LIGHT, contrast_ratio, load_resources
+from widgets.theme import CONTRAST, DARK, LIGHT, load_resources
 
 ROOT = Path(__file__).parents[2]
 ARROWS_ON = "#14181C"
@@ -35,6 +35,20 @@ VISION = {
 TO_XYZ = np.array([[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750],
                    [0.0193339, 0.1191920, 0.9503041]])  # fmt: skip
 WHITE = np.array([0.95047, 1.0, 1.08883])
+
+
+def contrast_ratio(one: QColor, other: QColor) -> float:
+    """Contrast ratio of WCAG 2 (1 to 21) of two opaque colours."""
+    lighter, darker = sorted((_luminance(one), _luminance(other)), reverse=True)
+    return (lighter + 0.05) / (darker + 0.05)
+
+
+def _luminance(colour: QColor) -> float:
+    linear = [
+        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4
+        for c in (colour.redF(), colour.greenF(), colour.blueF())
+    ]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
 def lab(colour: str, vision: str) -> np.ndarray:

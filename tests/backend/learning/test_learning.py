@@ -18,7 +18,6 @@ from backend.learning.features import (
     channel_groups,
     columns,
     fit_in_parts,
-    fit_normaliser,
 )
 from backend.learning.model import new_model
 from backend.learning.resume import load_state, save_state
@@ -82,7 +81,7 @@ def test_standardised_channels_have_zero_mean_and_unit_scale_per_group(modality:
     spread = np.geomspace(1e-3, 1e3, 258)
     x = (rng.normal(size=(50, 20, 258)) * spread + spread).astype(np.float32)
     part = columns(modality)  # type: ignore[arg-type]
-    fit = fit_normaliser(x, modality)  # type: ignore[arg-type]
+    fit = fit_in_parts([x], modality)  # type: ignore[arg-type]
     z = ((x[:, :, part] - fit.mean) / fit.scale).reshape(-1, part.stop - part.start)
     assert np.abs(z.mean(axis=0)).max() < 1e-3
     groups = channel_groups()[part]
@@ -93,7 +92,7 @@ def test_standardised_channels_have_zero_mean_and_unit_scale_per_group(modality:
 def test_fitting_in_parts_equals_fitting_at_once() -> None:
     x = np.random.default_rng(8).normal(3.0, 2.0, (50, 20, 258)).astype(np.float32)
     x[30:] *= 5
-    whole = fit_normaliser(x, "FT+Tac")
+    whole = fit_in_parts([x], "FT+Tac")
     parts = fit_in_parts([x[:1], x[1:33], x[33:]], "FT+Tac")
     assert np.allclose(parts.mean, whole.mean, rtol=1e-6)
     assert np.allclose(parts.scale, whole.scale, rtol=1e-6)
@@ -101,7 +100,7 @@ def test_fitting_in_parts_equals_fitting_at_once() -> None:
 
 
 def test_a_channel_that_never_changes_is_left_alone() -> None:
-    fit = fit_normaliser(np.zeros((3, 20, 258), np.float32), "FT+Tac")
+    fit = fit_in_parts([np.zeros((3, 20, 258), np.float32)], "FT+Tac")
     assert (fit.scale == 1).all()
 
 

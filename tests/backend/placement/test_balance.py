@@ -1,12 +1,10 @@
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
 from backend.core.flow import FloatArray
-from backend.placement.balance import centre_of_pressure_mm, outside_patch_mm, pressed_at_mm
+from backend.placement.balance import centre_of_pressure_mm, pressed_at_mm
 
 # Bench reference, table of section 3.8 (mushroom on circle15): Fx Fy Fz in N, Tx Ty in N·m at the
 # wrist, and the centre of pressure in mm. Grip height 33 mm, sensor 120 mm above the pivot.
@@ -50,14 +48,6 @@ def test_without_press_there_is_no_centre() -> None:
     series = np.zeros((3, 6))
     series[1, 2] = 5.0
     assert np.isfinite(centre_of_pressure_mm(series, 153.0)[:, 0]).tolist() == [False, True, False]
-
-
-def test_centre_outside_the_patch_is_measured() -> None:
-    square = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]])
-    assert outside_patch_mm(square, np.array([1.0, 3.0])) == 0.0
-    assert outside_patch_mm(square, np.array([7.0, 8.0])) == pytest.approx(5.0)
-    assert outside_patch_mm(np.zeros((0, 2)), np.array([0.0, 0.0])) == math.inf
-    assert math.isnan(outside_patch_mm(square, np.array([math.nan, 0.0])))
 
 
 def press(at_mm: tuple[float, float], offset: FloatArray | float = 0.0) -> FloatArray:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from backend.core.flow import MARKERS
-from backend.simulation.gel_look import feats_variant, load_look, mirrored
+from backend.simulation.gel_look import load_look, mirrored
 from backend.simulation.optics import FingerOptics
 
 NOBODY = np.zeros(MARKERS, dtype=bool)
@@ -75,7 +77,7 @@ def test_colours_are_those_of_the_real_frame(look):
 
 
 def test_dot_width_follows_radius_and_edge(look):
-    for variant, radius in ((look, 7.6), (feats_variant(look), 6.1)):
+    for variant, radius in ((look, 7.6), (replace(look, radius_px=6.1, edge_px=0.55), 6.1)):
         optics = FingerOptics(variant, 3)
         mean = np.mean([optics.render(STILL, NOBODY).astype(float) for _ in range(8)], axis=0)
         area = []

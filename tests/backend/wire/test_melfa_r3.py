@@ -138,7 +138,8 @@ def test_states_print_as_they_were_read():
 
 def test_a_pose_survives_its_printed_form():
     pose = Pose((350.0, -0.5, 400.25, math.pi, 0.0, -math.pi / 2, 0.0, 0.0), 7, 0)
-    printed = melfa_r3_positions.position_of("P1", pose).answer()
+    numbers = (350.0, -0.5, 400.25, 180.0, 0.0, -90.0)
+    printed = melfa_r3_positions.Position("P1", numbers, (7, 0)).answer()
     assert printed == "P1=(+350.00,-0.50,+400.25,+180.00,+0.00,-90.00)(7,0)"
     back = melfa_r3_positions.read_variable(printed).pose()
     assert back.axes == pytest.approx(pose.axes)

@@ -7,6 +7,7 @@ import pytest
 from backend.wire import wsg_binary
 from backend.wire.checksums import crc_wsg
 from backend.wire.framing import WireError
+from backend.wire.wsg_binary import Request
 from backend.wire.wsg_words import Command, GraspState, Status, SystemFlag
 from tests.backend.wire.vectors import data
 
@@ -22,7 +23,7 @@ from tests.backend.wire.vectors import data
         ("wsg-release", wsg_binary.release(60, 100)),
         ("wsg-ack-fast-stop", wsg_binary.acknowledge()),
         ("wsg-set-force-limit", wsg_binary.set_force_limit(10)),
-        ("wsg-set-acceleration", wsg_binary.set_acceleration(500)),
+        ("wsg-set-acceleration", Request(Command.SET_ACCELERATION, (500,))),
         ("wsg-width-50ms", wsg_binary.update(Command.WIDTH, 50)),
         ("wsg-width-once", wsg_binary.update(Command.WIDTH)),
         ("wsg-grasp-state-on-change", wsg_binary.update(Command.GRASP_STATE, 20, on_change=True)),

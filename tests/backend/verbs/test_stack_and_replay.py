@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 
 from backend.__main__ import main
+from backend.core.facts import RunStarted
 from backend.dataset.episode_reading import read_episode
-from backend.runs.journal import NAME
+from backend.runs.journal import NAME, Journal
 from backend.simulation.release_mujoco import available
 from tests.backend.brisk import RATE_HZ
 
@@ -245,3 +246,24 @@ def test_a_camera_silent_for_a_moment_costs_one_probe(
     refused = [path for path in episodes if not read_episode(path).quality.accepted]
     assert len(refused) == 1
     assert any("tactile_left" in r or "left" in r for r in read_episode(refused[0]).quality.reasons)
+
+
+def test_a_run_of_a_removed_strategy_still_replays(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "run"
+    journal = Journal(folder)
+    journal(RunStarted(0.0, "stack", "pot", "short", "pressure", 7, 1, True, "{}"))
+    journal.close()
+    assert main(["replay", str(folder), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["piece"], result["facts"]) == ("pot", {"RunStarted": 1})
+
+
+def test_a_method_file_with_a_removed_setting_is_one_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    method = tmp_path / "old.toml"
+    method.write_text("[outlines]\nrisk = 0.05\n", "utf-8")
+    assert main(["settings", "--method", str(method)]) == 2
+    assert "There is no setting 'outlines'." in capsys.readouterr().err

@@ -23,7 +23,7 @@ from backend.objects.shapes import circle
 from backend.objects.surface import face_points
 from backend.objects.tower import Body, Tower, judge
 from backend.placement.below import Below
-from backend.placement.fused import FusedReasoner, deepest
+from backend.placement.fused import FARTHEST_MM, FusedReasoner, deepest
 from backend.placement.strategies import begin
 from backend.placement.strategy import (
     XY,
@@ -202,7 +202,7 @@ DISC_MM, MIDDLE_MM = 9.0, (3.0, -2.0)
 
 
 def one_who_knows(
-    held: Held, settings: StackSettings = SETTINGS
+    held: Held, settings: StackSettings = SETTINGS, middle_mm: XY = MIDDLE_MM
 ) -> tuple[FusedReasoner, list[Face]]:
     """A reasoner whose network knows the disc that it stands over; and what faces it was told."""
     faces: list[Face] = []
@@ -212,7 +212,7 @@ def one_who_knows(
         return offset_mm
 
     def inset(here_mm: Any, points_mm: Any, from_first_mm: Any) -> Inset:
-        deep = DISC_MM - np.hypot(*(here_mm + points_mm - MIDDLE_MM).T)[:, None]
+        deep = DISC_MM - np.hypot(*(here_mm + points_mm - middle_mm).T)[:, None]
         return Inset(np.ones_like(deep), deep, np.full_like(deep, 0.2))
 
     reasoner = FusedReasoner(held, settings, (6.0, 4.0))
@@ -242,6 +242,15 @@ def test_the_centre_of_mass_of_a_mug_is_judged_and_brought_over_the_middle() -> 
     assert over is not None
     assert over.expected_mm() == pytest.approx(DISC_MM)
     assert touch(reasoner, there).action.kind == "release"
+
+
+def test_no_place_is_aimed_at_that_is_farther_than_it_was_asked_in_training() -> None:
+    """The middle lies 22 mm from the centre of mass, against the way that the mug is off."""
+    reasoner, _ = one_who_knows(replace(HELD, com_xy_mm=MUG), middle_mm=(-14.0, 9.0))
+    here = (4.0, 0.0)
+    action = touch(reasoner, here).action
+    assert action.target_mm is not None
+    assert FARTHEST_MM - 1.0 < np.hypot(*np.subtract(action.target_mm, here)) <= FARTHEST_MM
 
 
 def test_on_a_tower_a_mug_stands_where_a_centred_piece_would_under_the_same_load() -> None:

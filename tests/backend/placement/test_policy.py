@@ -107,10 +107,18 @@ def test_hull_centre_modes(what: str, expected: XY | None) -> None:
 
 
 def test_the_centre_of_mass_goes_over_the_support() -> None:
-    _, action = act(*probed(block((-2, 2), (-2, 2))), com=(5.0, 0.0))
+    _, action = act(*probed(block((-2, 2), (-2, 2))), com=(4.0, -3.0))
     assert action.kind == "shift"
-    assert action.step_mm == pytest.approx((-3.0, 0.0))
-    assert action.target_mm == pytest.approx((HERE[0] - 5.0, HERE[1]))
+    assert action.step_mm == pytest.approx((-2.4, 1.8))
+    assert action.target_mm == pytest.approx((HERE[0] - 4.0, HERE[1] + 3.0))
+
+
+def test_the_centre_of_mass_goes_over_the_most_probable_cells() -> None:
+    points = lattice()
+    likely = probed(np.where(np.hypot(*points.T) < 2.5, 0.7, 0.1))
+    _, action = act(*likely, com=(1.7, -0.9))
+    assert "towards the most probable cells" in action.reason
+    assert action.target_mm == pytest.approx((HERE[0] - 1.7, HERE[1] + 0.9))
 
 
 def test_the_whole_map_gives_the_target() -> None:

@@ -8,6 +8,7 @@ import pytest
 from backend.config.method import BeliefSettings, StackSettings
 from backend.core.faults import InputError
 from backend.core.flow import ContactPatch
+from backend.objects.catalogue import load_catalogue
 from backend.objects.shapes import circle
 from backend.objects.surface import face_points
 from backend.placement.strategies import begin
@@ -25,9 +26,11 @@ def press(at_mm: tuple[float, float], rise_n: float = 7.6) -> np.ndarray:
     return seen
 
 
-def zero_wrench(*presses: np.ndarray) -> tuple[Conclusion, bool]:
+def zero_wrench(
+    *presses: np.ndarray, com: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Conclusion, bool]:
     settings = StackSettings(belief=BeliefSettings(half_extent_mm=16.0), strategy="zero-wrench")
-    reasoner = begin(Held((0.0, 0.0), 30.0, sensor_height_mm=120.0), settings, (0.0, 0.0))
+    reasoner = begin(Held(com, 30.0, sensor_height_mm=120.0), settings, (0.0, 0.0))
     patch = ContactPatch(FACE.copy(), np.full(len(FACE), 0.9))
     for seen in presses:
         concluded = reasoner.conclude(Touched(seen, patch, (0.0, 0.0)))
@@ -42,6 +45,17 @@ def test_zero_wrench_lets_go_where_the_push_turns_nothing_and_follows_it_otherwi
     assert beside.action.step_mm == pytest.approx((-3.0, 0.0), abs=1e-3)
     assert beside.stability.margin_mm == pytest.approx(-5.0, abs=1e-3)
     assert not under.map.log_odds.any()
+
+
+def test_zero_wrench_lets_a_mug_go_where_the_push_acts_under_its_centre_of_mass() -> None:
+    mug = load_catalogue().top("mug").com_xy_mm
+    under, stable = zero_wrench(press((1.8, -1.0)), com=mug)
+    assert (under.action.kind, stable) == ("release", True)
+    assert under.stability.centre_mm == pytest.approx(mug)
+    beside, _ = zero_wrench(press((3.5, 1.5)), com=mug)
+    # From the centre of mass to the push: 1.8 and 2.4 mm.
+    assert beside.stability.margin_mm == pytest.approx(-3.0, abs=1e-3)
+    assert beside.action.step_mm == pytest.approx((1.8, 2.4), abs=1e-3)
 
 
 def test_zero_wrench_needs_a_push_and_gives_up_in_the_end() -> None:

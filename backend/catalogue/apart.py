@@ -11,7 +11,7 @@ from backend.catalogue.uuid7 import uuid7
 from backend.catalogue.values import NO_LABEL, Operation, Revision, Step
 
 _STEPS = (
-    f"SELECT {REVISION}, r.copy_of, r.deleted, r.skipped, r.shown_ns, r.beside"  # noqa: S608
+    f"SELECT {REVISION}, r.copy_of, r.deleted, r.skipped, r.beside"  # noqa: S608
     " FROM apart r JOIN op o USING (op_uuid) WHERE o.actor = ?"
 )
 _IN_ORDER = " ORDER BY o.lamport, o.site, o.seq"
@@ -31,8 +31,8 @@ def last_steps(connection: sqlite3.Connection, person: str) -> dict[str, Step]:
 
 def _steps(rows: sqlite3.Cursor) -> Iterator[Step]:
     for row in rows:
-        copy_of, deleted, skipped, shown_ns, beside = row[16:]
-        yield Step(as_revision(row[:16]), copy_of, deleted, bool(skipped), shown_ns, beside)
+        copy_of, deleted, skipped, beside = row[16:]
+        yield Step(as_revision(row[:16]), copy_of, deleted, bool(skipped), beside)
 
 
 def recorded(connection: sqlite3.Connection, uuid: str) -> Revision:
@@ -52,7 +52,7 @@ def add(draft: Draft, step: Step) -> None:
         "episode": r.episode, "rev_uuid": r.rev_uuid, "parent": r.parent, **asdict(r.label),
         "source": r.source, "state": r.state, "reason": r.reason, "verdict": r.verdict,
         "geometry": r.geometry, "note": r.note, "copy_of": step.copy_of, "deleted": step.deleted,
-        "skipped": step.skipped, "shown_ns": step.shown_ns, "beside": step.beside,
+        "skipped": step.skipped, "shown_ns": 0, "beside": step.beside,
     })  # fmt: skip
     if step.answer is not None:
         draft.opinions.append({"episode": r.episode, "verdict": r.verdict} | asdict(step.answer))

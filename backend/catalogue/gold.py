@@ -22,14 +22,12 @@ BLOCK = GOLD_EVERY - 1
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """How a gold episode is to be seen: the label it was recorded with, and when and where.
+    """How a gold episode is to be seen: the label it was recorded with, and where.
 
-    ``at_ns`` (UTC) seems to be its time; ``beside`` is the episode of the queue that it follows,
-    "" if it is the first.
+    ``beside`` is the episode of the queue that it follows, "" if it is the first.
     """
 
     recorded: Revision
-    at_ns: int
     beside: str
 
 
@@ -46,12 +44,9 @@ def with_gold(
     steps = dataset.labels.left_apart(person)
     begun = {uuid: steps[uuid] for uuid in waiting if uuid in steps and uuid in entries}
     found = mixed(order, waiting, begun)
-    places = disguised(found, entries, set(order)) | {
-        uuid: (step.shown_ns, step.beside) for uuid, step in begun.items()
-    }
+    places = preceding(found, set(order)) | {uuid: step.beside for uuid, step in begun.items()}
     return found, {
-        uuid: Shown(dataset.labels.history(uuid)[0], at_ns, beside)
-        for uuid, (at_ns, beside) in places.items()
+        uuid: Shown(dataset.labels.history(uuid)[0], beside) for uuid, beside in places.items()
     }
 
 
@@ -82,20 +77,12 @@ def mixed(
     return found
 
 
-def disguised(
-    order: Sequence[str], entries: Mapping[str, EpisodeEntry], ordinary: set[str]
-) -> dict[str, tuple[int, str]]:
-    """Return of all that is not ``ordinary`` a time (UTC ns) between those of its neighbours.
-
-    Gold is older than what is still to be labelled: its own time would tell it from the rest. With
-    it comes the ordinary episode before it, "" if there is none.
-    """
-    told, before = dict[str, tuple[int, str]](), ""
-    for at, uuid in enumerate(order):
+def preceding(order: Sequence[str], ordinary: set[str]) -> dict[str, str]:
+    """Return the ordinary episode before each other one, "" if there is none."""
+    found, before = dict[str, str](), ""
+    for uuid in order:
         if uuid in ordinary:
             before = uuid
-            continue
-        near = [order[k] for k in (at - 1, at + 1) if 0 <= k < len(order)]
-        times = [entries[other].recorded_ns for other in near if other in ordinary]
-        told[uuid] = (sum(times) // len(times) if times else entries[uuid].recorded_ns, before)
-    return told
+        else:
+            found[uuid] = before
+    return found

@@ -57,10 +57,7 @@ class GoldBook:
         if not self.hides(entry.uuid):
             return entry
         now = self._gold.now(entry.uuid)
-        return replace(
-            entry, state=now.version.state, conflict=False, deleted=bool(now.deleted),
-            recorded_ns=now.shown_ns,
-        )  # fmt: skip
+        return replace(entry, state=now.version.state, conflict=False, deleted=bool(now.deleted))
 
     def log(self, *, text: str = "", limit: int = 500) -> list[Operation]:
         """Return the log, newest first, without what others did to gold that is in the queue."""
@@ -163,8 +160,7 @@ class _Gold:
     def _steps(self, uuid: str) -> list[Step]:
         """Return what the person saw of an episode, from its recording on."""
         shown = self.shown[uuid]
-        first = replace(shown.recorded, at_ns=shown.at_ns)
-        begun = Step(first, shown_ns=shown.at_ns, beside=shown.beside)
+        begun = Step(shown.recorded, beside=shown.beside)
         return [begun, *self._book.steps_apart(self.person, uuid)]
 
     def _standing(self, uuid: str, state: LabelState | None = None) -> Standing:

@@ -160,7 +160,10 @@ CREATE TABLE apart (
 );
 CREATE INDEX apart_episode ON apart (episode);
 """ + _guards("apart", "op_uuid = NEW.op_uuid AND episode = NEW.episode")
-"""Of each step on gold what the person sees after it, and where and when the episode is shown."""
+"""Of each step on gold what the person sees after it, and where the episode is shown.
+
+``shown_ns`` is always 0: it held an invented time of recording.
+"""
 
 KEYS = {
     "op": "op_uuid = NEW.op_uuid OR (site = NEW.site AND seq = NEW.seq)",

@@ -140,15 +140,14 @@ class Step:
     """What one person sees of a gold episode after an action of theirs, none of it a label.
 
     ``version``: how its label looks. ``copy_of``: the version whose content undo or redo wrote
-    again. ``deleted``: why, "" if it is not. ``shown_ns`` (UTC) and ``beside``: when it seems to
-    have been recorded, and the episode of the queue that it comes after ("" if it is the first).
+    again. ``deleted``: why, "" if it is not. ``beside``: the episode of the queue that it comes
+    after ("" if it is the first).
     """
 
     version: Revision
     copy_of: str | None = None
     deleted: str = ""
     skipped: bool = False
-    shown_ns: int = 0
     beside: str = ""
 
     @property

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import random
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,7 +12,7 @@ import pytest
 from backend.catalogue import operations
 from backend.catalogue.comparison import against_gold
 from backend.catalogue.dataset import Dataset
-from backend.catalogue.gold import GOLD_EVERY, Shown, disguised, mixed, with_gold
+from backend.catalogue.gold import GOLD_EVERY, Shown, mixed, preceding, with_gold
 from backend.catalogue.gold_book import GoldBook
 from backend.catalogue.rebuilding import rebuild
 from backend.catalogue.recovery import examine
@@ -26,7 +25,6 @@ ACTIONS = (
     "set", "accept", "reject", "take over", "restore", "verdict", "skip", "delete", "undo", "redo",
     "undo", "redo",
 )  # fmt: skip
-AT_NS = 7
 
 
 def gold_of(record: Record, dataset: Dataset, x_um: int = 1000) -> str:
@@ -66,22 +64,22 @@ def test_what_was_begun_stands_where_it_stood_however_few_are_left(
     assert mixed(order, [gold, "new"], begun).count("new") == 0
 
 
-def test_gold_shows_a_time_between_its_neighbours(dataset: Dataset, record: Record) -> None:
-    old = gold_of(record, dataset)
-    entries = {e.uuid: e for e in [dataset.entry(old), record(), record()]}
-    _, a, b = entries
-    entries[old] = replace(entries[old], recorded_ns=5)
-    told = disguised([a, old, b], entries, {a, b})
-    assert list(told) == [old]
-    assert entries[a].recorded_ns <= told[old][0] <= entries[b].recorded_ns
-    assert told[old][1] == a
+def test_gold_keeps_its_own_time_and_knows_what_it_follows(
+    dataset: Dataset, record: Record
+) -> None:
+    old, a = gold_of(record, dataset), record().uuid
+    assert preceding(["first", a, old], {a}) == {"first": "", old: a}
+    book = sitting(dataset, old)
+    entry = dataset.entry(old)
+    assert book.entry(entry).recorded_ns == entry.recorded_ns
+    assert book.of(old).history(old)[0].at_ns == dataset.labels.history(old)[0].at_ns
 
 
 def sitting(dataset: Dataset, *uuids: str) -> GoldBook:
     """Return the labels as Ann sees them when she begins, with these as gold."""
     book = GoldBook(dataset.labels)
     recorded = {uuid: dataset.labels.history(uuid)[0] for uuid in uuids}
-    book.begin("ann", {uuid: Shown(r, AT_NS, "") for uuid, r in recorded.items()})
+    book.begin("ann", {uuid: Shown(r, "") for uuid, r in recorded.items()})
     return book
 
 
@@ -181,15 +179,14 @@ def test_what_was_taken_back_is_gold_again_and_what_was_left_comes_first(
 
     first, book = queue()
     assert sorted(first) == sorted([gold, *plain])
-    at, said = first.index(gold), book.entry(dataset.entry(gold)).recorded_ns
+    at = first.index(gold)
     book.of(gold).set("ann", gold, Label(1100, 0, 0, 50))
     done = [uuid for uuid in plain if first.index(uuid) > at][:5]
     for uuid in done:
         dataset.labels.accept("ann", uuid)
-    # Fewer than 19 are left: it stays where it was, as it was, with the time it had.
+    # Fewer than 19 are left: it stays where it was, as it was.
     again, book = queue()
     assert again == [uuid for uuid in first if uuid not in done]
-    assert book.entry(dataset.entry(gold)).recorded_ns == said
     assert book.of(gold).head(gold).label.x_um == 1100
     book.of(gold).accept("ann", gold, Label(1100, 0, 0, 50))
     assert gold not in queue()[0]

@@ -10,7 +10,7 @@ import torch
 
 from backend.dataset.rows import TrainingRows
 from backend.dataset.splits import split_rows
-from backend.learning.features import fit_normaliser
+from backend.learning.features import fit_in_parts
 from backend.learning.training import Trainer, bce, predict_logits
 from tests.backend.learning.test_learning import SMALL, rows
 
@@ -31,7 +31,7 @@ def test_base_rate_and_normaliser_are_those_of_the_training_side() -> None:
     train = trainer.split.train
     assert 0 < len(train) < len(data)
     assert trainer.base_rate == pytest.approx(6 / 9)
-    expected = fit_normaliser(data.observation[train], SMALL.modality)
+    expected = fit_in_parts([data.observation[train]], SMALL.modality)
     np.testing.assert_allclose(trainer.model.mean.numpy(), expected.mean, rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(trainer.model.scale.numpy(), expected.scale, rtol=1e-5)
 

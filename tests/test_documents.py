@@ -52,15 +52,20 @@ def test_the_doctor_example_has_the_fields_of_a_check():
     Check(**example["checks"][0])
 
 
-def test_make_targets_in_the_readme_exist():
-    readme, makefile = (ROOT / "README.md").read_text(), (ROOT / "Makefile").read_text()
-    named = set(re.findall(r"\bmake ([a-z]+)", readme))
+@pytest.mark.parametrize("path", DOCUMENTS, ids=_name)
+def test_named_make_targets_exist(path):
+    makefile = (ROOT / "Makefile").read_text("utf-8")
+    code = "\n".join(
+        re.findall(r"```console\n.*?```|`[^`\n]+`", path.read_text("utf-8"), re.DOTALL)
+    )
+    named = set(re.findall(r"(?:^|`)make ([a-z-]+)", code, re.MULTILINE))
     assert {t for t in named if not re.search(rf"^{t}:", makefile, re.MULTILINE)} == set()
 
 
-def test_every_verb_stands_in_the_readme():
-    readme = (ROOT / "README.md").read_text()
-    assert [verb for verb in VERBS if not re.search(rf"`[^`\n]*\b{verb}\b", readme)] == []
+def test_every_verb_stands_in_the_command_table():
+    assert [
+        verb for verb in VERBS if not re.search(rf"^\|.*`[^`\n]*\b{verb}\b", COMMANDS, re.M)
+    ] == []
 
 
 @pytest.mark.parametrize(

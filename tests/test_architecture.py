@@ -163,12 +163,6 @@ def test_no_other_top_level_folder():
     assert tops <= TOP
 
 
-def test_glossary_words_are_kept_in_module_names():
-    """Words that CONTEXT.md tells to avoid are not names of modules."""
-    avoided = {"touch", "poke", "footprint", "alarm", "snapshot", "sweep"}
-    assert [_name(p) for p in CODE if p.stem in avoided] == []
-
-
 IMPORTED_AS = {
     "PySide6-Essentials": {"PySide6", "shiboken6"},
     "opencv-contrib-python-headless": {"cv2"},
